@@ -412,9 +412,9 @@ def test_bench_measures_everything(here, random_weights, capsys):
 
 
 def test_bench_shows_engines_side_by_side(here, random_weights, capsys, monkeypatch):
-    monkeypatch.setattr("lidar2pano.engines.selection.BUILDERS", {"onnx": TorchEngine})
-    monkeypatch.setattr("lidar2pano.engines.selection.missing_extra", lambda engine: "")
-    monkeypatch.setattr("lidar2pano.engines.selection._providers", lambda: ["CPUExecutionProvider"])
+    monkeypatch.setattr("lidar2pano.engines.BUILDERS", {"onnx": TorchEngine})
+    monkeypatch.setattr("lidar2pano.engines.missing_extra", lambda engine: "")
+    monkeypatch.setattr("lidar2pano.engines._providers", lambda: ["CPUExecutionProvider"])
     monkeypatch.setenv("LIDAR2PANO_CACHE", str(here / "cache"))
     options = ["--runs", "1", "--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]
     assert main(["bench", "--engine", "torch,onnx", *options]) == 0

@@ -347,7 +347,7 @@ def test_a_missing_extra_is_named(data, message, monkeypatch):
     ],
 )
 def test_engines_and_formats(refused, monkeypatch, options, says):
-    monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: False)
+    monkeypatch.setattr("lidar2pano.engines._is_installed", lambda module: False)
     assert refused(f"translate good.bin --weights small {options}") == says
 
 

@@ -137,8 +137,8 @@ def test_openvino_reports_nothing_over_the_network():
 )
 def test_auto(monkeypatch, installed, bfloat16, device, engine):
     monkeypatch.delenv("LIDAR2PANO_ENGINE")
-    monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: installed)
-    monkeypatch.setattr("lidar2pano.engines.selection.has_bfloat16", lambda device: bfloat16)
+    monkeypatch.setattr("lidar2pano.engines._is_installed", lambda module: installed)
+    monkeypatch.setattr("lidar2pano.engines.has_bfloat16", lambda device: bfloat16)
     assert pick_engine("auto", torch.device(device)) == engine
 
 
@@ -151,8 +151,8 @@ def test_the_environment_names_what_auto_is(monkeypatch):
 
 
 def test_what_a_device_lacks(monkeypatch):
-    monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: True)
-    monkeypatch.setattr("lidar2pano.engines.selection._providers", lambda: ["CPUExecutionProvider"])
+    monkeypatch.setattr("lidar2pano.engines._is_installed", lambda module: True)
+    monkeypatch.setattr("lidar2pano.engines._providers", lambda: ["CPUExecutionProvider"])
     cuda = torch.device("cuda")
     for engine, says in (("openvino", "does not compute on cuda"), ("onnx", "install onnxruntime-gpu")):
         with pytest.raises(InputError, match=says):
@@ -161,7 +161,7 @@ def test_what_a_device_lacks(monkeypatch):
 
 
 def test_networks_for_torch_only(monkeypatch):
-    monkeypatch.setattr("lidar2pano.engines.selection.missing_extra", lambda engine: "")
+    monkeypatch.setattr("lidar2pano.engines.missing_extra", lambda engine: "")
     monkeypatch.setenv("LIDAR2PANO_ENGINE", "openvino")
     network = nn.Conv2d(1, 1, 1)
     assert accelerated(network, "vid2vid", "", "auto", CPU) is network and "forward" not in vars(network)
@@ -324,9 +324,9 @@ def test_the_users_cache_folder(monkeypatch, tmp_path):
 
 
 def test_the_pipeline_paints_the_same_by_an_engine(random_weights, monkeypatch, builds):
-    monkeypatch.setattr("lidar2pano.engines.selection.BUILDERS", {"onnx": TorchEngine})
-    monkeypatch.setattr("lidar2pano.engines.selection.missing_extra", lambda engine: "")
-    monkeypatch.setattr("lidar2pano.engines.selection._providers", lambda: ["CPUExecutionProvider"])
+    monkeypatch.setattr("lidar2pano.engines.BUILDERS", {"onnx": TorchEngine})
+    monkeypatch.setattr("lidar2pano.engines.missing_extra", lambda engine: "")
+    monkeypatch.setattr("lidar2pano.engines._providers", lambda: ["CPUExecutionProvider"])
     usual, ours = (load(random_weights, "cpu", engine) for engine in ("torch", "onnx"))
     assert (usual.engine, ours.engine) == ("torch", "onnx")
     first, second = usual(street()), ours(street())

@@ -155,7 +155,7 @@ def test_another_best_class_is_a_difference_unless_the_best_two_are_alike():
 def test_what_cannot_be_exported(tmp_path, monkeypatch, capsys):
     with pytest.raises(InputError, match="the painter is a 'vid2vid', which cannot be exported; name weights of sal"):
         check_exportable({"segmenter": "salsanext", "painter": "vid2vid"})
-    monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: module != "onnxscript")
+    monkeypatch.setattr("lidar2pano.engines._is_installed", lambda module: module != "onnxscript")
     assert main(["export", "world", "--onnx", str(tmp_path / "graphs")]) == 2
     said = capsys.readouterr().err
     assert said == "lidar2pano: the export needs the extra 'export': pip install 'lidar2pano[export]'\n"

@@ -10,7 +10,7 @@ from hatchling.builders.wheel import WheelBuilder
 import house_rules
 import lidar2pano
 from lidar2pano.cli.app import EXTRAS as MODULE_EXTRAS
-from lidar2pano.engines.selection import EXTRAS as ENGINE_EXTRAS
+from lidar2pano.engines import EXTRAS as ENGINE_EXTRAS
 
 SETTINGS = tomllib.loads((house_rules.ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = SETTINGS["project"]

@@ -198,7 +198,7 @@ def test_no_two_files_share_a_name():
 
 def test_every_exception_for_repeated_names_is_needed(tree):
     assert house_rules.idle_exceptions(house_rules.SOURCE) == []
-    assert "video.py" in house_rules.idle_exceptions(tree(losses__video=""))
+    assert "surfaces.py" in house_rules.idle_exceptions(tree(scene__surfaces=""))
 
 
 def test_a_repeated_name_is_found(tree):

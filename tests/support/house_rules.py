@@ -53,7 +53,6 @@ SAME_NAME = {
     "cli": "a command's file is called like the command",
     "panorama.py": "the record, and the task that trains its translator",
     "surfaces.py": "scene/ has surfaces of a scan, simulate/ makes the world's",
-    "video.py": "losses/ has the losses of the task in train/",
 }
 EMPTY_NAMES = {"util", "utils", "common", "core", "base", "helper", "helpers", "misc"}
 

@@ -17,7 +17,7 @@ from lidar2pano.data.clips import ClipSample
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import warp
-from lidar2pano.losses.video import (
+from lidar2pano.losses.painting import (
     LAYERS,
     coherence_loss,
     flow_loss,

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from lidar2pano.engines import missing_extra
 from lidar2pano.engines.runtimes import OPSET, graph, session
-from lidar2pano.engines.selection import missing_extra
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole

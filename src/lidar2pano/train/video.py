@@ -25,7 +25,7 @@ from lidar2pano.geometry.rasters import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import pooled
-from lidar2pano.losses.video import (
+from lidar2pano.losses.painting import (
     coherence_loss,
     flow_loss,
     least_squares_critic,
