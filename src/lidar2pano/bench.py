@@ -10,7 +10,7 @@ import math
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from lidar2pano.demo import street
 from lidar2pano.engines import accelerated, pick_engine
+from lidar2pano.formats.json_files import markdown_table
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.hardware import Timer, has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
@@ -194,12 +195,6 @@ def comparison_table(rows: Sequence[Comparison]) -> str:
             cells += [f"{row.median_ms[name]:.0f}", f"{row.median_ms[first] / max(row.median_ms[name], 0.01):.2f}"]
         lines.append(cells)
     return markdown_table(head, lines)
-
-
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table whose columns are aligned to the right, but for the first."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def made_up_scan(points: int, seed: int) -> Scan:

@@ -26,7 +26,7 @@ from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.formats.interpretation import Overrides
-from lidar2pano.geometry.reprojection import CUBE_AXES
+from lidar2pano.geometry.camera import CUBE_AXES
 from lidar2pano.labels import COMMON15
 from random_weights import CALIB, street, write_scan
 from slow_definitions import grow_slowly

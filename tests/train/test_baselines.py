@@ -14,16 +14,17 @@ from torch.utils.data import default_collate
 from golden_fill import assert_weights_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded as recorded_tensors
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.camera_pairs import CameraProjectionDataset, in_unit, stretched
+from lidar2pano.data.camera_pairs import CameraProjectionDataset, stretched
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import project_to_camera
+from lidar2pano.geometry.rasters import as_image, in_unit
 from lidar2pano.losses.adversarial import pix2pix_updates
 from lidar2pano.models import build
 from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.card import load
 from lidar2pano.scan import Scan
-from lidar2pano.train.colour import as_image, camera_inputs
+from lidar2pano.train.colour import camera_inputs
 from lidar2pano.train.engine import train
 from lidar2pano.train.front import Pix2PixOptions, pix2pix_losses
 from lidar2pano.train.recipes import recipe_named

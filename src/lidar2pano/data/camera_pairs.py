@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
 from lidar2pano.data.frames import Frame, SampleIndex
@@ -215,8 +216,3 @@ def stretched(image: np.ndarray, size: tuple[int, int]) -> Tensor:
     # bilinear over the area of a new pixel, as viewers make images smaller
     resized = interpolate(pixels[None].float(), size=size, mode="bilinear", antialias=True)[0]
     return resized.round().clamp(0, 255).to(torch.uint8)
-
-
-def in_unit(pixels: Tensor) -> Tensor:
-    """Return pixels uint8 as float32 in [-1, 1]."""
-    return pixels.float() / 127.5 - 1

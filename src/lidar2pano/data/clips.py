@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex
@@ -327,7 +328,7 @@ def mirrored(clip: ClipSample) -> ClipSample:
 
 def _clip(image: Tensor, labels: Tensor, flow: Flow, name: str) -> ClipSample:
     return ClipSample(
-        image=image / 127.5 - 1,
+        image=in_unit(image),
         labels=labels.long(),
         shift=(flow.shift * flow.known[:, None]).float(),
         known=flow.known.float(),

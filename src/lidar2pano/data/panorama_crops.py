@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache, PredictedLabels
 from lidar2pano.data.frames import (
@@ -180,7 +181,7 @@ class PanoramaDataset:
             segments=range_image.spread(torch.from_numpy(scan.label)),
             camera_labels=window.camera_labels[:, coarse].long(),
             depth_m=window.depth_m[:, coarse],
-            image=window.image[..., fine].float() / 127.5 - 1,
+            image=in_unit(window.image[..., fine]),
             valid=window.valid[:, fine],
             name=name,
         )

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.camera_pairs import in_unit
+from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.surround import SurroundFrame

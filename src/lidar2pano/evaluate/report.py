@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
 from lidar2pano.evaluate.metric_collection import SWD_LEVELS, UNSCORED, MetricValue
+from lidar2pano.formats.json_files import markdown_table
 from lidar2pano.labels import COMMON15
 
 Entry = Mapping[str, Any]  # of "values": sector, name, value, low, high, frames; None where undefined
@@ -244,12 +245,6 @@ def table(summary: Mapping[str, Any]) -> str:
         rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
     head = ["class", "pixels", *(result["weights"] for result in results)]
     return f"{summary['heading']}\n\n{markdown_table(head, rows)}"
-
-
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table whose columns are aligned to the right, but for the first."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def number_cell(value: float | None, decimals: int = 3) -> str:

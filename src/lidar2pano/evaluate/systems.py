@@ -20,6 +20,7 @@ from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem, Predi
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
+from lidar2pano.geometry.rasters import as_image
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
 from lidar2pano.models import families
@@ -85,7 +86,7 @@ def to_image(colour: Tensor, size: tuple[int, int]) -> np.ndarray:
     colour = colour.float()
     if colour.shape[1:] != size:
         colour = interpolate(colour[None], size=size, mode="bilinear", align_corners=False, antialias=True)[0]
-    return ((colour.movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).cpu().numpy()
+    return as_image(colour)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -19,13 +19,14 @@ from torch.nn.functional import l1_loss, mse_loss
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.photographs import FACTOR, PhotographCrop, PhotographDataset, as_signed
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.rasters import as_image
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.losses import hinge_critic, hinge_generator
 from lidar2pano.losses.adversarial import frozen
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
-from lidar2pano.train.task import as_image, build_networks, device_of
+from lidar2pano.train.task import build_networks, device_of
 
 SCORED = 24  # photographs of the validation splits that are scored, evenly spaced
 SEAM = 2 * FACTOR  # columns at either side of a crop that are not scored: the network meets the other end there

@@ -25,6 +25,7 @@ from lidar2pano.data.camera_pairs import (
 )
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.rasters import as_image
 from lidar2pano.losses import pooled
 from lidar2pano.losses.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.metrics.frame_metrics import SSIM
@@ -42,7 +43,7 @@ from lidar2pano.train.front import (
     titan_mini,
 )
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores, vary
-from lidar2pano.train.task import as_image, build_networks, device_of, image_size, range_view_card
+from lidar2pano.train.task import build_networks, device_of, image_size, range_view_card
 from lidar2pano.views import VIEWS
 
 

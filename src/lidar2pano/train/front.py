@@ -42,6 +42,7 @@ from lidar2pano.train.task import (
     build_networks,
     device_of,
     image_size,
+    label_preview,
     load_segmenter,
     range_view_card,
     segmentation_scores,
@@ -141,11 +142,8 @@ class FrontTask:
 
     def preview(self) -> dict[str, np.ndarray]:
         """Camera's labels above the network's, for two validation frames, (H, W, 3) uint8."""
-        rows = []
-        for index in range(min(2, len(self.validation))):
-            sample = self.validation[index]
-            rows += [COMMON14.paint(ids.numpy()) for ids in (sample.camera_labels, self.predict(sample))]
-        return {"segments": np.concatenate(rows)}
+        samples = (self.validation[index] for index in range(min(2, len(self.validation))))
+        return label_preview(COMMON14, ((sample.camera_labels, self.predict(sample)) for sample in samples))
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """Label set, view, normalisation."""

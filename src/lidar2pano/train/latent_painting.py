@@ -17,13 +17,14 @@ from torch import Tensor
 
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.rasters import as_image
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.card import load
 from lidar2pano.models.latent_painter import CLASSES, GEOMETRY, MEASUREMENT, LatentPainter
 from lidar2pano.pipeline import assemble, load_part, load_segmenter
 from lidar2pano.train.latent_frames import LatentFrames, LatentSample
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
-from lidar2pano.train.task import as_image, build_networks, device_of
+from lidar2pano.train.task import build_networks, device_of
 from lidar2pano.views import VIEWS
 
 GROUPS = (CLASSES, GEOMETRY, MEASUREMENT)

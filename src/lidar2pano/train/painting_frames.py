@@ -25,6 +25,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.torch_files import read_tensors
+from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.scene_painter import ScenePainter
@@ -130,7 +131,7 @@ class PaintingFrames:
             depth_m=kept["depth_m"][:, coarse].float(),
             channels=channels,
             labels=kept["camera"][:, coarse].long(),
-            image=kept["colour"][..., fine].float() / 127.5 - 1,
+            image=in_unit(kept["colour"][..., fine]),
             valid=kept["seen"][:, fine],
             look=torch.tensor(self.look[index]),
             tone=tone,
@@ -212,7 +213,7 @@ def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
     """Sums of colours (256, 3) in [-1, 1] and numbers of pixels (256,) of each class: every 64th pixel counts."""
     ids = window.camera_labels[1::4, 1::4].long()
     labelled = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
-    colour = window.image[:, 2::8, 2::8].movedim(0, 2)[labelled].float() / 127.5 - 1
+    colour = in_unit(window.image[:, 2::8, 2::8].movedim(0, 2)[labelled])
     total = torch.zeros(256, 3).index_add_(0, ids[labelled], colour)
     return total, torch.zeros(256).index_add_(0, ids[labelled], torch.ones(len(colour)))
 

@@ -20,7 +20,7 @@ from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
 from lidar2pano.scene.depth import depth_code
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores, vary
-from lidar2pano.train.task import Teacher, build_networks, device_of, load_segmenter, segmentation_scores
+from lidar2pano.train.task import Teacher, build_networks, device_of, label_preview, load_segmenter, segmentation_scores
 from lidar2pano.views import VIEWS
 
 
@@ -119,11 +119,8 @@ class PanoramaTranslation:
 
     def preview(self) -> dict[str, np.ndarray]:
         """Camera's labels above the network's, for three validation frames, (H, W, 3) uint8."""
-        rows = []
-        for index in range(min(3, len(self.validation))):
-            sample = self.validation[index]
-            rows += [COMMON15.paint(ids.numpy()) for ids in (sample.camera_labels, self.predict(sample))]
-        return {"segments": np.concatenate(rows)}
+        samples = (self.validation[index] for index in range(min(3, len(self.validation))))
+        return label_preview(COMMON15, ((sample.camera_labels, self.predict(sample)) for sample in samples))
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """Label set and raster."""

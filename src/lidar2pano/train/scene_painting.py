@@ -25,6 +25,7 @@ from lidar2pano.appearance.painter_inputs import (
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
+from lidar2pano.geometry.rasters import as_image
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import (
@@ -44,7 +45,7 @@ from lidar2pano.scene.record import Scene
 from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import Teacher, as_image, build_networks, device_of, fix_norms
+from lidar2pano.train.task import Teacher, build_networks, device_of, fix_norms
 from lidar2pano.views import VIEWS, View
 
 NAMES = ("road", "building", "car", "person", "traffic-sign", "vegetation")

@@ -41,6 +41,7 @@ from lidar2pano.train.task import (
     build_networks,
     device_of,
     fix_norms,
+    label_preview,
     range_view_card,
     segmentation_scores,
 )
@@ -165,8 +166,7 @@ class Segmentation:
         sample, network = self.validation[0], self.networks["segmenter"]
         with torch.inference_mode():
             ids = network(sample.lidar[None].to(device_of(network)))[0].argmax(0).cpu()
-        pair = [SEMANTIC_KITTI.paint(labels.numpy()) for labels in (sample.labels, ids)]
-        return {"segments": np.concatenate(pair)}
+        return label_preview(SEMANTIC_KITTI, [(sample.labels, ids)])
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """Label set, view, normalisation."""

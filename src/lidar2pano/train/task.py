@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -25,9 +26,6 @@ from lidar2pano.progress import working
 from lidar2pano.scan import Scan
 from lidar2pano.train.recipe import Network, Recipe
 from lidar2pano.views import View
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 class Dataset(Protocol):
@@ -141,9 +139,9 @@ def segmentation_scores(
     return {"score": miou, "miou": miou, "accuracy": confusion.accuracy()}
 
 
-def as_image(colour: Tensor) -> np.ndarray:
-    """Colours (3, h, w) in [-1, 1] as an image (h, w, 3) uint8."""
-    return ((colour.movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()
+def label_preview(labels: LabelSet, pairs: Iterable[Iterable[Tensor]]) -> dict[str, np.ndarray]:
+    """Return images of ids (h, w), those of a pair one above the other, and pair under pair, (H, W, 3) uint8."""
+    return {"segments": np.concatenate([labels.paint(ids.numpy()) for pair in pairs for ids in pair])}
 
 
 def fix_norms(network: nn.Module) -> None:

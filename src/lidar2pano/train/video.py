@@ -21,7 +21,7 @@ from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.projection import one_hot_layers
-from lidar2pano.geometry.rasters import warp
+from lidar2pano.geometry.rasters import as_image, warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import pooled
@@ -48,7 +48,7 @@ from lidar2pano.train.recipe import (
     vary,
     with_optimizers,
 )
-from lidar2pano.train.task import as_image, build_networks, device_of
+from lidar2pano.train.task import build_networks, device_of
 from lidar2pano.views import VIEWS
 
 FLOW_PX = 20.0  # temporal discriminators read flow in units of these, as published

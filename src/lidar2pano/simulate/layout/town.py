@@ -232,14 +232,8 @@ def build_town(seed: int, length: float, place: str) -> Town:
         tuple(_stretches(stream(seed, "quarters", index), parameters, road)) for index, road in enumerate(roads)
     )
     terrain = Terrain.random(stream(seed, "terrain"), parameters.slope * stream(seed, "town").uniform(0.2, 1.3))
-    return Town(
-        seed=seed,
-        name=place,
-        roads=roads,
-        terrain=terrain,
-        stretches=stretches,
-        junctions=tuple(mouth for _, mouth in sides),
-    )
+    junctions = tuple(mouth for _, mouth in sides)
+    return Town(seed=seed, name=place, roads=roads, terrain=terrain, stretches=stretches, junctions=junctions)
 
 
 def _main_road(rng: np.random.Generator, parameters: Place, length: float) -> Road:
@@ -308,14 +302,8 @@ def _stretches(rng: np.random.Generator, parameters: Place, road: Road) -> list[
         s = 0.0
         while s < road.length:
             run = scale * rng.uniform(50, 150)
-            out.append(
-                Stretch(
-                    start=s,
-                    end=min(s + run, road.length),
-                    side=side,
-                    land_use=weighted_choice(rng, parameters.land_uses),
-                )
-            )
+            end, land_use = min(s + run, road.length), weighted_choice(rng, parameters.land_uses)
+            out.append(Stretch(start=s, end=end, side=side, land_use=land_use))
             s += run
     return out
 
