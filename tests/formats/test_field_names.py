@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 import sample_files as made
+from lidar2pano.errors import InputError
 from lidar2pano.formats.arrays import cloud_of_arrays
 from lidar2pano.formats.field_names import INTENSITY, INTENSITY_WORDS, find_named, has_axes, meanings
+from lidar2pano.formats.point_cloud import cloud_of_columns
+from lidar2pano.formats.readers import interpreted
 
 XYZ, RING = made.street(beams=16)
 FORMS = made.remission(len(XYZ))
@@ -49,3 +52,58 @@ def test_points_are_found_among_arrays(arrays):
     np.testing.assert_array_equal(cloud.xyz, XYZ[: len(cloud)])
     assert cloud.intensity is not None and len(cloud) >= 5000
     np.testing.assert_array_equal(cloud.intensity, FORMS[: len(cloud)])
+
+
+R_M = np.linalg.norm(XYZ.astype(np.float64), axis=1)
+AZIMUTH, ELEVATION = np.arctan2(XYZ[:, 1], XYZ[:, 0]).astype(np.float64), np.arcsin(XYZ[:, 2] / R_M)
+POLAR = {
+    "radians": ("Range (m)", R_M, "Azimuth (rad)", AZIMUTH, "Elevation (rad)", ELEVATION),
+    "degrees": ("distance", R_M, "azimuth", np.degrees(AZIMUTH) % 360, "vertical_angle", np.degrees(ELEVATION)),
+    "hundredths": ("distance_mm", R_M * 1e3, "azimuth", np.degrees(AZIMUTH) % 360 * 100, "elev", np.degrees(ELEVATION)),
+}
+
+
+POLAR_FILES = [
+    ("csv", "hundredths"),
+    *((form, unit) for form in ("csv", "npz", "npy", "bin") for unit in list(POLAR)[:2]),
+]
+
+
+@pytest.mark.parametrize(("form", "unit"), POLAR_FILES)
+def test_ranges_and_angles_are_places(tmp_path, form, unit):
+    names, columns = POLAR[unit][::2], POLAR[unit][1::2]
+    if form == "csv":
+        lines = "".join(",".join(f"{value:.7f}" for value in row) + "\n" for row in zip(*columns, FORMS, strict=True))
+        content = (",".join((*names, "intensity")) + "\n" + lines).encode()
+    elif form == "npz":
+        content = made.npz(**dict(zip((*names, "intensity"), (*columns, FORMS), strict=True)))
+    else:
+        table = np.column_stack([*columns, FORMS]).astype(np.float32)
+        content = made.npy(table) if form == "npy" else table.tobytes()
+    ((scan, found),) = interpreted(made.write(tmp_path, f"a.{form}", content))
+    np.testing.assert_allclose(scan.xyz, XYZ, atol=2e-3)
+    np.testing.assert_allclose(scan.remission, FORMS, atol=1e-3)
+    assert any("azimuth is taken as counter-clockwise" in doubt for doubt in found.doubts)
+
+
+def test_names_of_cloudcompare():
+    columns = {
+        "x": XYZ[:, 0],
+        "y": XYZ[:, 1],
+        "z": XYZ[:, 2],
+        "Scalar_field": FORMS,
+        "scalar_GpsTime": AZIMUTH / 60 + 9,
+    }
+    cloud = cloud_of_columns(columns, format="text", name="a")
+    assert cloud.intensity is not None and (cloud.intensity == FORMS).all()
+    assert cloud.time_s is not None and np.ptp(cloud.time_s) == pytest.approx(np.ptp(AZIMUTH) / 60, rel=1e-3)
+
+
+def test_a_table_of_lists_is_named(tmp_path):
+    from pyarrow import BufferOutputStream, parquet, table
+
+    stream = BufferOutputStream()
+    parquet.write_table(table({"[LiDARComponent].range_image_return1.values": [[1.0, 2.0]]}), stream)
+    path = made.write(tmp_path, "a.parquet", stream.getvalue().to_pybytes())
+    with pytest.raises(InputError, match="has no columns of numbers, one a point; write x, y, z"):
+        next(interpreted(path))

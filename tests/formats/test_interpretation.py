@@ -176,6 +176,9 @@ def test_coordinates_with_an_offset_come_back():
     scan, found = interpret(cloud(XYZ.astype(np.float64) + offset))
     np.testing.assert_allclose(np.array(found.viewpoint_m) - offset, 0, atol=0.15)
     assert "offset" in found.viewpoint_by
+    (doubt,) = found.doubts
+    assert "its coordinates are a map's" in doubt and "--forward" in doubt
+    assert not interpret(cloud(XYZ.astype(np.float64) + offset), Overrides(forward="x"))[1].doubts
     np.testing.assert_allclose(scan.xyz, XYZ, atol=0.2)
 
 

@@ -25,6 +25,7 @@ from lidar2pano.formats.field_names import (
     find_named,
     has_axes,
     meanings,
+    spherical,
 )
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
@@ -222,6 +223,8 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     if {"x", "y", "z"} <= keys.keys():
         count = len(flat[keys["x"]])
         return {key: value for key, value in flat.items() if len(value) == count}
+    if (polar := spherical(list(flat))) and len({len(flat[key]) for key in polar}) == 1:
+        return {key: value for key, value in flat.items() if len(value) == len(flat[polar[0]])}
     tables = {key: table for key, array in arrays.items() if (table := _table(array)) is not None}
     if not tables:
         return {}

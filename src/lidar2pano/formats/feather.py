@@ -45,6 +45,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
             raise
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: is no {kind} that can be read ({reason}); it is damaged or cut off") from None
+    if not columns:
+        raise InputError(f"{path}: has no columns of numbers, one a point; write x, y, z and intensity as such")
     stem = stem_of(path)
     stamp_s = int(stem) * 1e-9 if stem.isdigit() and len(stem) == 18 else None
     whole: dict[str, np.ndarray] = {}

@@ -6,11 +6,22 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-# Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_".
-INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i")
+# Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_" ("Scalar field": unnamed).
+INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i", "field")
 NEAR_INFRARED = ("near_ir", "ambient", "near_infrared", "nir")  # Ouster's in packets and in ROS, and others'
 RING = ("ring", "channel", "laser_number", "laser_id", "beam", "line", "row")
-TIME = ("offset_ns", "offset_time", "time_offset", "time", "time_stamp", "timestamp", "timestamps", "t", "gps_time")
+TIME = (
+    "offset_ns",
+    "offset_time",
+    "time_offset",
+    "time",
+    "time_stamp",
+    "timestamp",
+    "timestamps",
+    "t",
+    "gps_time",
+    "gpstime",
+)
 # Beginnings of words within longer names: "pcloud_attr.reflectance", "Intensität", "Signal Photons", "refl"
 INTENSITY_WORDS, RING_WORDS, TIME_WORDS = (
     ("refl", "remis", "intens", "signal", "amplitude"),
@@ -22,6 +33,11 @@ NEAR_INFRARED_WORDS = ("ambient", "infrared")
 PLACE = r"(?:points?|pos(?:ition)?|coordinates?|coords?|location|cartesian|scalar|xyz|m)"
 AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")
 EARTH = (re.compile("east(?:ing)?"), re.compile("north(?:ing)?"), re.compile("elevation|altitude|height|up"))
+# Names of ranges and angles, where there are no axes: "Range (m)", "distance_mm", "azimuth_deg", "vertical_angle"
+SPHERICAL = tuple(
+    re.compile(rf"(?:{names})(?:[ _.-]*(?:m|deg(?:rees?)?|rad(?:ians?)?))?")
+    for names in ("range|dist(?:ance)?|radius", "azimuth|azi?", "elevation|elev?|(?:vertical|altitude)[ _]angle")
+)
 # Other vectors than places: normals, velocities, accelerations, turns, errors
 VECTOR = re.compile(
     r"(?:.*[^a-z])?(?:n|normals?|v|vel\w*|a|acc\w*|g|gyro\w*|w|ang\w*|q|rot\w*|ori\w*|dir\w*|std|sigma)"
@@ -68,8 +84,14 @@ def meanings(names: Sequence[str]) -> list[Column]:
 
 
 def has_axes(names: Sequence[str]) -> bool:
-    """Return whether names of columns have those of all axes among them."""
-    return {"x", "y", "z"} <= {name for name, _ in meanings(names)}
+    """Return whether names of columns have those of all axes among them, or of a range and two angles."""
+    return {"x", "y", "z"} <= {name for name, _ in meanings(names)} or bool(spherical(names))
+
+
+def spherical(names: Sequence[str]) -> list[str]:
+    """Return the names of a range, an azimuth and an elevation; [] if there are none."""
+    found = [next((name for name in names if form.fullmatch(plain_name(column(name).name))), "") for form in SPHERICAL]
+    return found if all(found) else []
 
 
 def are_numbered(names: Sequence[str]) -> bool:

@@ -20,6 +20,7 @@ from lidar2pano.formats.field_names import (
     find_named,
     meanings,
     plain_name,
+    spherical,
 )
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
@@ -29,6 +30,7 @@ FIELDS = (
     (TIME, TIME_WORDS),
     (NEAR_INFRARED, NEAR_INFRARED_WORDS),
 )
+MOST_RADIANS, MOST_DEGREES = 6.4, 400.0  # of an azimuth
 MOST_BEAMS = 1 << 16  # numbers beyond are no beams
 SAMPLE = 2000  # values to tell by whether a field says anything
 
@@ -103,6 +105,11 @@ def cloud_of_columns(
     is no point; `source`, else the name, begins its message.
     """
     key_by_name = {plain_name(key): key for key in reversed(list(columns))}
+    if not {"x", "y", "z"} <= key_by_name.keys() and (polar := spherical(list(columns))):
+        places, polar_doubts = _places(*(columns[key].astype(np.float64) for key in polar))
+        others = {key: values for key, values in columns.items() if key not in polar}
+        columns, doubts = dict(zip("xyz", places, strict=True)) | others, [*doubts, *polar_doubts]
+        key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys():
         axes_by_key = zip(columns, meanings([plain_name(key) for key in columns]), strict=True)
         key_by_name = {name: key for key, (name, _) in axes_by_key}
@@ -142,6 +149,26 @@ def cloud_of_columns(
         doubts=(*doubts, *unsure),
         near_infrared=_native(light[0][1]) if light else None,
     )
+
+
+def _places(
+    range_m: np.ndarray, azimuth: np.ndarray, elevation: np.ndarray
+) -> tuple[tuple[np.ndarray, ...], list[str]]:
+    """Return x, y and z by ranges and angles, and doubts: nothing tells the direction of an azimuth.
+
+    Angles are radians, degrees if they are more than a turn of these, an azimuth hundredths of degrees likewise.
+    """
+    if not range_m.shape == azimuth.shape == elevation.shape:
+        raise InputError("ranges and angles are of different numbers; write x, y and z")
+    most = float(np.nanmax(np.abs(azimuth), initial=0))
+    unit = 1.0 if most <= MOST_RADIANS else np.pi / 180
+    azimuth = azimuth * (unit if most <= MOST_DEGREES else unit / 100)
+    along, elevation = range_m * np.cos(elevation * unit), elevation * unit
+    doubt = (
+        "its places are of ranges and angles, whose azimuth is taken as counter-clockwise from ahead; if it is"
+        " clockwise, as in sensors' own packets, all is mirrored: write x, y and z"
+    )
+    return (along * np.cos(azimuth), along * np.sin(azimuth), range_m * np.sin(elevation)), [doubt]
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:

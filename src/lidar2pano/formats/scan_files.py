@@ -57,7 +57,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
     names = column_names(table)
     if width == len(KITTI):
         names = ["remission" if name == "intensity" else name for name in names]
-    if _odd_share(table[:SAMPLE, [names.index(axis) for axis in "xyz"]]) > MOST_FAR:
+    places = [names.index(axis) for axis in "xyz"] if "x" in names else [0, 1, 2]
+    if _odd_share(table[:SAMPLE, places]) > MOST_FAR:
         raise _no_points(path)
     form = {KITTI: "KITTI", NUSCENES: "nuScenes"}.get(tuple(names), f"{width} numbers a point")
     return cloud_of_columns(

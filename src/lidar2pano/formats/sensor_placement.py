@@ -309,7 +309,14 @@ def place(sample: np.ndarray, claims: Claims) -> tuple[Placement, list[str]]:
         turn_by=stance.turn_by,
         forward=forward,
         forward_by=forward_by,
-    ), undecided + doubts + unsure
+    ), undecided + doubts + (unsure or _of_a_map(away, claims))
+
+
+def _of_a_map(away: bool, claims: Claims) -> list[str]:
+    """Return the doubt about the axes of coordinates with an offset: a map's say nothing of the sensor's."""
+    if not away or claims.named_forward:
+        return []
+    return [f"its coordinates are a map's, far from their origin, and so are its axes; {WHICH_END}"]
 
 
 def find_unit(sample: np.ndarray) -> float:

@@ -86,6 +86,9 @@ def column_names(table: np.ndarray) -> list[str]:
         sample = table[:: max(1, len(table) // SAMPLE)].astype(np.float64)
     sample[np.abs(sample) > LARGEST] = np.nan
     names = [f"column {number}" for number in range(1, table.shape[1] + 1)]
+    if _is_spherical(sample):
+        names[:3] = "range", "azimuth", "elevation"
+        return [*names[:3], *(["intensity", *names[4:]] if len(names) > 3 else [])]
     axes, range_column = _axes(sample)
     for axis, name in zip(axes, "xyz", strict=True):
         names[axis] = name
@@ -128,6 +131,19 @@ def _axes(sample: np.ndarray) -> tuple[list[int], int | None]:
             if _is_coordinate(rows[:, start]) and _is_coordinate(rows[:, start + 1]):
                 return [start, start + 1, start + 2], None
     return [0, 1, 2], None
+
+
+def _is_spherical(sample: np.ndarray) -> bool:
+    """Return whether the first columns are ranges, azimuths all around and elevations: x is nowhere behind then."""
+    range_m, azimuth, elevation = sample[np.isfinite(sample[:, :3]).all(1), :3].T
+    if len(range_m) < FEWEST or range_m.min() < 0 or not np.ptp(range_m) > SPREAD_M:
+        return False
+    for turn in (2 * np.pi, 360.0):
+        around = np.bincount((azimuth % turn * (SECTORS / turn)).astype(int) % SECTORS, minlength=SECTORS)
+        whole = -turn / 2 <= azimuth.min() and np.ptp(azimuth) <= turn * 1.001 and azimuth.max() <= turn * 1.001
+        if whole and np.count_nonzero(around > len(azimuth) / (10 * SECTORS)) > TURN_SHARE * SECTORS:
+            return bool(np.abs(elevation).max() <= turn / 4)
+    return False
 
 
 def _is_coordinate(values: np.ndarray) -> bool:
