@@ -29,7 +29,8 @@ def test_more_than_three_alike_are_no_axes():
 
 
 @pytest.mark.parametrize(
-    "name", ["refl", "Intensit\u00e4t", "Signal Photons", "pcloud_attr.reflectance", "scalar_Intensity", "I"]
+    "name",
+    ["refl", "Inten-sity", "Intensit\u00e4t", "Signal Photons", "pcloud_attr.reflectance", "scalar_Intensity", "I"],
 )
 def test_names_of_remission(name):
     assert find_named(["x", "range", name, "vertical_angle"], INTENSITY, INTENSITY_WORDS) == [name]

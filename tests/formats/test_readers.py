@@ -427,3 +427,25 @@ def test_packed_files_of_several_parts(tmp_path, ending, pack, name):
     packed.write_bytes(pack(content)[:-20])
     with pytest.raises(InputError, match="cannot be unpacked .* it is damaged or cut off"):
         lidar2pano.read(packed)
+
+
+EXTENSION = b"HEADER_EXT_START 2\nSENSOR_TYPE VELODYNE_LIDAR\nTIMESTAMP 1635320299.25\nHEADER_EXT_END\n"
+
+
+def test_a_second_header_and_values_behind_the_fields_of_a_pcd(tmp_path):
+    head, mark, lines = FILES["ascii.pcd"].partition(b"DATA ascii\n")
+    rows = b"".join(line + b" 7\n" for line in lines.splitlines())
+    path = made.write(tmp_path, "a.pcd", head + mark + EXTENSION + rows)
+    found = cloud(path)
+    np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
+    np.testing.assert_array_equal(found.intensity, INTENSITY)
+    assert found.doubts == ("its lines have 5 values for 4 of its header; those behind them are left out",)
+
+
+def test_a_compressed_pcd_that_did_not_shrink(tmp_path):
+    head, mark, _ = FILES["compressed.pcd"].partition(b"DATA binary_compressed\n")
+    columns = b"".join(np.asarray(column, "<f4").tobytes() for column in (*XYZ.T, INTENSITY))
+    sizes = np.array([len(columns)] * 2, "<u4").tobytes()
+    found = cloud(made.write(tmp_path, "a.pcd", head + mark + sizes + columns))
+    np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
+    np.testing.assert_array_equal(found.intensity, INTENSITY)

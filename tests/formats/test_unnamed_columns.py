@@ -103,3 +103,12 @@ def test_one_odd_number_condemns_no_rows(tmp_path):
 def test_every_scan_of_kitti_has_four_columns(kitti_mini: Path):
     for file in sorted(kitti_mini.glob("sequences/*/velodyne/*.bin")):
         assert row_width(np.fromfile(file, "<f4")) == 4, file
+
+
+def test_angles_of_points_are_no_remission_and_no_time(tmp_path):
+    """USVInland's text: x y z, horizontal and vertical angle, range, reflectivity, time."""
+    azimuth, elevation = np.degrees(np.arctan2(XYZ[:, 1], XYZ[:, 0])) % 360, np.degrees(np.arcsin(XYZ[:, 2] / RANGE))
+    for angle, vertical in ((azimuth, np.round(elevation)), (np.radians(360 - azimuth), np.radians(elevation))):
+        table = np.column_stack([XYZ, angle, vertical, RANGE, FORMS, TIME])
+        names = column_names(table)
+        assert names == ["x", "y", "z", "angle", "angle", "range", "intensity", "time"]

@@ -186,14 +186,14 @@ def _of_part(
     values = [region.get(name) or 0 for name in names] if isinstance(region, dict) else [0, 0, 0, 0]
     left, top, *part = _numbers(path, "roi", values).tolist()
     bins = _numbers(path, "binning", [entry.get("binning_x") or 1, entry.get("binning_y") or 1]).clip(min=1)
-    across, down = bins.tolist()
+    bin_width, bin_height = bins.tolist()
     to_part = [
-        [1 / across, 0, (0.5 - left) / across - 0.5],
-        [0, 1 / down, (0.5 - top) / down - 0.5],
+        [1 / bin_width, 0, (0.5 - left) / bin_width - 0.5],
+        [0, 1 / bin_height, (0.5 - top) / bin_height - 0.5],
         [0, 0, 1],
     ]
     part = part if all(part) else size
-    return np.array(to_part) @ K, (int(part[0] // across), int(part[1] // down)) if part else None
+    return np.array(to_part) @ K, (int(part[0] // bin_width), int(part[1] // bin_height)) if part else None
 
 
 def _pose(path: Path, entry: Entry) -> np.ndarray | None:

@@ -57,25 +57,25 @@ def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: 
             sources = list(found_beside(scan_file.resolve()))
         except InputError as error:
             return ScanCameras((), (f"cameras are left out: {error}",), None)
-    moved, stamp_s = None, _stamp(scan_file)
+    motion, stamp_s = None, _stamp(scan_file)
     if sources and stamp_s is not None:
         try:
-            moved = oxts_motion(scan_file.resolve())
+            motion = oxts_motion(scan_file.resolve())
         except InputError as error:
             cameras = read_sources(sources, options, T_scan_file)
             return cameras._replace(doubts=(*cameras.doubts, f"motion between images and scan stays in: {error}"))
-    if moved is not None and stamp_s is not None:
-        sources = [source._replace(load=partial(_carried, source.load, moved, stamp_s)) for source in sources]
+    if motion is not None and stamp_s is not None:
+        sources = [source._replace(load=partial(_carried, source.load, motion, stamp_s)) for source in sources]
     return read_sources(sources, options, T_scan_file)
 
 
 def _carried(load: Callable[[], Camera], motion: SensorMotion, stamp_s: float) -> Camera:
     """Return a camera as it stood beside the scan when its image was taken, if the poses reach so far."""
     camera = load()
-    taken, scanned = (motion.pose(moment_s) for moment_s in (stamp_s + (camera.time_s or 0.0), stamp_s))
-    if taken is None or scanned is None:
+    image_pose, scan_pose = (motion.pose(moment_s) for moment_s in (stamp_s + (camera.time_s or 0.0), stamp_s))
+    if image_pose is None or scan_pose is None:
         return camera
-    T = camera.calibration.T_camera_lidar @ np.linalg.inv(taken) @ scanned
+    T = camera.calibration.T_camera_lidar @ np.linalg.inv(image_pose) @ scan_pose
     return replace(camera, calibration=replace(camera.calibration, T_camera_lidar=T))
 
 

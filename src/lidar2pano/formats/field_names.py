@@ -24,7 +24,7 @@ TIME = (
 )
 # Beginnings of words within longer names: "pcloud_attr.reflectance", "Intensität", "Signal Photons", "refl"
 INTENSITY_WORDS, RING_WORDS, TIME_WORDS = (
-    ("refl", "remis", "intens", "signal", "amplitude"),
+    ("refl", "remis", "inten", "signal", "amplitude"),
     ("ring", "laser"),
     ("time",),
 )
@@ -90,8 +90,8 @@ def has_axes(names: Sequence[str]) -> bool:
 
 def spherical(names: Sequence[str]) -> list[str]:
     """Return the names of a range, an azimuth and an elevation; [] if there are none."""
-    found = [next((name for name in names if form.fullmatch(plain_name(column(name).name))), "") for form in SPHERICAL]
-    return found if all(found) else []
+    keys = [next((name for name in names if form.fullmatch(plain_name(column(name).name))), "") for form in SPHERICAL]
+    return keys if all(keys) else []
 
 
 def are_numbered(names: Sequence[str]) -> bool:

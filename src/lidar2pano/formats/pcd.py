@@ -19,6 +19,7 @@ from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
+EXTENSION_END = b"HEADER_EXT_END"  # of a second header, behind DATA
 MOST_RATIO = 90  # of LZF: three bytes stand for 264 at most
 BYTES = {"F": (2, 4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 ENTRY = re.compile(rb"(?m)^(?:VERSION|FIELDS|COLUMNS|SIZE|TYPE|WIDTH|POINTS|DATA) ")
@@ -45,21 +46,20 @@ class Header:
 
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if header and content do not fit each other."""
-    header = read_header(data, path)
+    header, doubts = read_header(data, path), list[str]()
     if header.layout == "ascii":
-        columns = _ascii(data, header, path)
+        columns, doubts = _ascii(data, header, path)
     elif header.layout == "binary":
         columns = _binary(memoryview(data)[header.start :], header, path)
     else:
         columns = _compressed(data, header, path)
-    doubts = []
     if header.claims:
         count = len(next(iter(columns.values()), ()))
         if count not in header.claims:
             claims = " and ".join(map(str, header.claims))
             raise InputError(f"{path}: its header says {claims} points, but it holds {count}; write the file again")
         points, product = header.claims
-        doubts = [f"its header says {points} points, but WIDTH x HEIGHT is {product}; {count} are read"]
+        doubts += [f"its header says {points} points, but WIDTH x HEIGHT is {product}; {count} are read"]
     return cloud_of_columns(
         columns,
         format=f"PCD, {header.layout}",
@@ -140,9 +140,14 @@ def _viewpoint(words: list[str]) -> np.ndarray | None:
     return T if np.isfinite(T).all() and not np.allclose(T, np.eye(4)) else None
 
 
-def _ascii(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
+def _ascii(data: bytes, header: Header, path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the fields, and a doubt about values behind them."""
+    text = data[header.start :]
+    if (end := text.find(EXTENSION_END, 0, MOST_HEADER)) >= 0:
+        text = text[end + len(EXTENSION_END) :].lstrip()
     width = sum(count for _, _, count, _ in header.fields)
-    table, _ = numbers(data[header.start :], path, width)
+    values = len(text[:MOST_HEADER].lstrip().split(b"\n", 1)[0].split())
+    table, _ = numbers(text, path, max(width, values))
     if header.points and len(table) != header.points:
         raise InputError(f"{path}: its header says {header.points} points, but it holds {len(table)}; fetch it again")
     columns, place = {}, 0
@@ -150,7 +155,8 @@ def _ascii(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
         if count == 1 and name != "_":
             columns[name] = _of_type(table[:, place], dtype)
         place += count
-    return columns
+    doubt = f"its lines have {values} values for {width} of its header; those behind them are left out"
+    return columns, [doubt] if values > width else []
 
 
 def _of_type(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -189,7 +195,9 @@ def _compressed(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray
     try:
         flat = decompress(body, unpacked)
     except ValueError as error:
-        raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged, fetch it again") from None
+        if packed != unpacked:  # what does not shrink some programs write as it is
+            raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged, fetch it again") from None
+        flat = body
     return {
         name: np.frombuffer(flat, dtype, points, offset * points)
         for name, dtype, count, offset in header.fields

@@ -107,8 +107,8 @@ def cloud_of_columns(
     key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys() and (polar := spherical(list(columns))):
         places, polar_doubts = _places(*(columns[key].astype(np.float64) for key in polar))
-        others = {key: values for key, values in columns.items() if key not in polar}
-        columns, doubts = dict(zip("xyz", places, strict=True)) | others, [*doubts, *polar_doubts]
+        rest = {key: values for key, values in columns.items() if key not in polar}
+        columns, doubts = dict(zip("xyz", places, strict=True)) | rest, [*doubts, *polar_doubts]
         key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys():
         axes_by_key = zip(columns, meanings([plain_name(key) for key in columns]), strict=True)
@@ -160,15 +160,16 @@ def _places(
     """
     if not range_m.shape == azimuth.shape == elevation.shape:
         raise InputError("ranges and angles are of different numbers; write x, y and z")
-    most = float(np.nanmax(np.abs(azimuth), initial=0))
-    unit = 1.0 if most <= MOST_RADIANS else np.pi / 180
-    azimuth = azimuth * (unit if most <= MOST_DEGREES else unit / 100)
-    along, elevation = range_m * np.cos(elevation * unit), elevation * unit
+    largest = float(np.nanmax(np.abs(azimuth), initial=0))
+    unit = 1.0 if largest <= MOST_RADIANS else np.pi / 180
+    azimuth = azimuth * (unit if largest <= MOST_DEGREES else unit / 100)
+    elevation = elevation * unit
+    level_m = range_m * np.cos(elevation)
     doubt = (
         "its places are of ranges and angles, whose azimuth is taken as counter-clockwise from ahead; if it is"
         " clockwise, as in sensors' own packets, all is mirrored: write x, y and z"
     )
-    return (along * np.cos(azimuth), along * np.sin(azimuth), range_m * np.sin(elevation)), [doubt]
+    return (level_m * np.cos(azimuth), level_m * np.sin(azimuth), range_m * np.sin(elevation)), [doubt]
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:

@@ -22,6 +22,7 @@ TURN_SHARE, SECTORS = 0.9, 72  # of the times' variance is between sectors of a 
 SORTED_SHARE, FEWEST_TIMES = 0.99, 100  # of the steps in a file are no step back; different times
 SPREAD_M = 2.0  # between the 5th and 95th percentile of coordinates along the ground
 MOST_RINGS = 256
+SAME_ANGLE, ANGLE_ERROR = 0.999, 0.2  # mean of unit vectors of differences; of the elevations' deviation
 LARGEST = 1e30  # numbers beyond are bytes of something else
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
 
@@ -100,6 +101,9 @@ def column_names(table: np.ndarray) -> list[str]:
             names[column] = name
         return names
     xyz = sample[:, axes]
+    for column in [column for column in left if len(sample) >= FEWEST and _is_angle(sample[:, column], xyz)]:
+        names[column] = "angle"
+        left.remove(column)
     for name, tells in (("ring", _is_ring), ("time", _is_time)):
         told = next((column for column in left if len(sample) >= FEWEST and tells(sample[:, column], xyz)), None)
         if told is not None:
@@ -139,9 +143,9 @@ def _is_spherical(sample: np.ndarray) -> bool:
     if len(range_m) < FEWEST or range_m.min() < 0 or not np.ptp(range_m) > SPREAD_M:
         return False
     for turn in (2 * np.pi, 360.0):
-        around = np.bincount((azimuth % turn * (SECTORS / turn)).astype(int) % SECTORS, minlength=SECTORS)
-        whole = -turn / 2 <= azimuth.min() and np.ptp(azimuth) <= turn * 1.001 and azimuth.max() <= turn * 1.001
-        if whole and np.count_nonzero(around > len(azimuth) / (10 * SECTORS)) > TURN_SHARE * SECTORS:
+        counts = np.bincount((azimuth % turn * (SECTORS / turn)).astype(int) % SECTORS, minlength=SECTORS)
+        in_turn = -turn / 2 <= azimuth.min() and np.ptp(azimuth) <= turn * 1.001 and azimuth.max() <= turn * 1.001
+        if in_turn and np.count_nonzero(counts > len(azimuth) / (10 * SECTORS)) > TURN_SHARE * SECTORS:
             return bool(np.abs(elevation).max() <= turn / 4)
     return False
 
@@ -171,6 +175,25 @@ def _is_ring(values: np.ndarray, xyz: np.ndarray) -> bool:
     if not len(values) or not are_integers(values, MOST_RINGS) or np.ptp(values) < 3:
         return False
     return share_between(values, np.arctan2(z, np.hypot(x, y))) > BEAMS_SHARE
+
+
+def _is_angle(values: np.ndarray, xyz: np.ndarray) -> bool:
+    """Return whether values are the azimuths, of any zero and direction, or the elevations of points."""
+    usable = np.isfinite(values) & (np.linalg.norm(xyz, axis=1) > NEAR_M)
+    values, (x, y, z) = values[usable], xyz[usable].T
+    if not len(values):
+        return False
+    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+    for unit in (1.0, np.pi / 180):
+        angle = values * unit
+        if (
+            np.ptp(angle) > np.pi
+            and max(abs(np.exp(1j * (angle + sign * azimuth)).mean()) for sign in (1, -1)) > SAME_ANGLE
+        ):
+            return True
+        if np.abs(angle - elevation).mean() < ANGLE_ERROR * np.std(elevation):
+            return True
+    return False
 
 
 def _is_time(values: np.ndarray, xyz: np.ndarray) -> bool:
