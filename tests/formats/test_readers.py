@@ -439,12 +439,12 @@ def test_a_second_header_and_values_behind_the_fields_of_a_pcd(tmp_path):
     found = cloud(path)
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
     np.testing.assert_array_equal(found.intensity, INTENSITY)
-    assert found.doubts == ("its lines have 5 values for 4 of its header; those behind them are left out",)
+    assert found.doubts == ("its lines have 8 values for 7 of its header; those behind them are left out",)
 
 
 def test_a_compressed_pcd_that_did_not_shrink(tmp_path):
     head, mark, _ = FILES["compressed.pcd"].partition(b"DATA binary_compressed\n")
-    columns = b"".join(np.asarray(column, "<f4").tobytes() for column in (*XYZ.T, INTENSITY))
+    columns = b"".join(np.asarray(column, "<f4").tobytes() for column in (*XYZ.T, INTENSITY)) + bytes(4 * len(XYZ))
     sizes = np.array([len(columns)] * 2, "<u4").tobytes()
     found = cloud(made.write(tmp_path, "a.pcd", head + mark + sizes + columns))
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)

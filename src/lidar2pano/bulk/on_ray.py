@@ -33,8 +33,9 @@ def connected(address: str) -> Iterator[dict[str, float]]:
 
     try:
         ray.init(None if address == "auto" else address, log_to_driver=False, logging_level=logging.ERROR)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise InputError(f"--ray {address}: cannot be connected to ({error}); start a cluster by ray start") from error
+    except Exception as error:  # a node that does not start in time raises this very class
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"--ray {address}: cannot be connected to ({reason}); start a cluster by ray start") from error
     try:
         yield dict(ray.cluster_resources())  # pyright: ignore[reportReturnType]
     finally:

@@ -30,6 +30,10 @@ FIELDS = (
     (TIME, TIME_WORDS),
     (NEAR_INFRARED, NEAR_INFRARED_WORDS),
 )
+POLAR_DOUBT = (  # nothing tells the direction of an azimuth
+    "its places are of ranges and angles, whose azimuth is taken as counter-clockwise from ahead; if it is clockwise,"
+    " as in sensors' own packets, all is mirrored: write x, y and z"
+)
 MOST_RADIANS, MOST_DEGREES = 6.4, 400.0  # of an azimuth
 MOST_BEAMS = 1 << 16  # numbers beyond are no beams
 SAMPLE = 2000  # values to tell by whether a field says anything
@@ -106,9 +110,7 @@ def cloud_of_columns(
     """
     key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys() and (polar := spherical(list(columns))):
-        places, polar_doubts = _places(*(columns[key].astype(np.float64) for key in polar))
-        rest = {key: values for key, values in columns.items() if key not in polar}
-        columns, doubts = dict(zip("xyz", places, strict=True)) | rest, [*doubts, *polar_doubts]
+        columns, doubts = _with_places(columns, polar), [*doubts, POLAR_DOUBT]
         key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys():
         axes_by_key = zip(columns, meanings([plain_name(key) for key in columns]), strict=True)
@@ -151,13 +153,12 @@ def cloud_of_columns(
     )
 
 
-def _places(
-    range_m: np.ndarray, azimuth: np.ndarray, elevation: np.ndarray
-) -> tuple[tuple[np.ndarray, ...], list[str]]:
-    """Return x, y and z by ranges and angles, and doubts: nothing tells the direction of an azimuth.
+def _with_places(columns: Mapping[str, np.ndarray], polar: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return columns with x, y and z in place of those named `polar`: a range, an azimuth and an elevation.
 
     Angles are radians, degrees if they are more than a turn of these, an azimuth hundredths of degrees likewise.
     """
+    range_m, azimuth, elevation = (columns[key].astype(np.float64) for key in polar)
     if not range_m.shape == azimuth.shape == elevation.shape:
         raise InputError("ranges and angles are of different numbers; write x, y and z")
     largest = float(np.nanmax(np.abs(azimuth), initial=0))
@@ -165,11 +166,8 @@ def _places(
     azimuth = azimuth * (unit if largest <= MOST_DEGREES else unit / 100)
     elevation = elevation * unit
     level_m = range_m * np.cos(elevation)
-    doubt = (
-        "its places are of ranges and angles, whose azimuth is taken as counter-clockwise from ahead; if it is"
-        " clockwise, as in sensors' own packets, all is mirrored: write x, y and z"
-    )
-    return (level_m * np.cos(azimuth), level_m * np.sin(azimuth), range_m * np.sin(elevation)), [doubt]
+    places = {"x": level_m * np.cos(azimuth), "y": level_m * np.sin(azimuth), "z": range_m * np.sin(elevation)}
+    return places | {key: values for key, values in columns.items() if key not in polar}
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
