@@ -38,6 +38,8 @@ LINES = [line for page in TASKS for line in shell_lines(page, PAGES[page])]
 NOT_RUN = {  # beginning of a line -> why no test types it
     "python -m venv": "makes the environment that the tests run in",
     "pip install": "installs from an index; `make setup-dev` has installed all extras",
+    "conda create": "likewise",
+    "uv venv": "likewise",
     "make ": "is this run, or has a job of its own in .ci/run",
     "docker ": "no Docker here",
     "source /opt/ros": "no ROS here",
