@@ -12,20 +12,16 @@ places or more with its 95 % interval (Student's t over places: frames of one pl
 from __future__ import annotations
 
 import argparse
-import statistics
 from pathlib import Path
 
-from scipy.stats import t as student
-
+from lidar2pano.evaluate.folds import compared, table
 from lidar2pano.models.card import load
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
 
-Scores = dict[str, float]
 
-
-def fold(arguments: argparse.Namespace, arm: list[str], left_out: str) -> Scores:
+def fold(arguments: argparse.Namespace, arm: list[str], left_out: str) -> dict[str, float]:
     """Train one arm without one place, and return its validation on that place."""
     places = dict(one.split("=", 1) for one in arguments.place)
     seen = [splits for name, splits in places.items() if name != left_out]
@@ -35,33 +31,7 @@ def fold(arguments: argparse.Namespace, arm: list[str], left_out: str) -> Scores
         recipe = override(recipe, change)
     weights = train(recipe, arguments.root, arguments.out / f"{arm[0]}-without-{left_out}", "auto")
     _, card = load(next(iter(sorted(weights.glob("*.safetensors")))))
-    return {name: value for name, value in card.score.items() if isinstance(value, float)}
-
-
-def difference(arm: list[float], first: list[float]) -> str:
-    """Format the mean difference of paired places with its 95 % interval."""
-    gaps = [one - other for one, other in zip(arm, first, strict=True)]
-    if len(gaps) < 3:
-        return f"{statistics.mean(gaps):+.4f}"
-    reach = student.ppf(0.975, len(gaps) - 1) * statistics.stdev(gaps) / len(gaps) ** 0.5
-    return f"{statistics.mean(gaps):+.4f} ± {reach:.4f}"
-
-
-def table(found: dict[str, dict[str, Scores]]) -> list[str]:
-    """Return the lines of the table: arms, scores, places, mean, difference to the first arm."""
-    first = next(iter(found.values()))
-    places = list(first)
-    lines = [
-        f"| arm | score | {' | '.join(places)} | mean | to the first |",
-        "| --- | --- |" + " ---: |" * (len(places) + 2),
-    ]
-    for arm, scores in found.items():
-        for name in first[places[0]]:
-            values = [scores[place][name] for place in places]
-            gap = difference(values, [first[place][name] for place in places])
-            cells = " | ".join(f"{value:.4f}" for value in (*values, statistics.mean(values)))
-            lines.append(f"| {arm} | {name} | {cells} | {gap} |")
-    return lines
+    return {f"validation {name}": value for name, value in card.score.items() if isinstance(value, float)}
 
 
 def main() -> None:
@@ -78,8 +48,9 @@ def main() -> None:
     names = [one.split("=", 1)[0] for one in arguments.place]
     found = {arm[0]: {name: fold(arguments, arm, name) for name in names} for arm in arguments.arm}
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "folds.md").write_text("\n".join([*table(found), ""]), encoding="utf-8")
-    print("\n".join(table(found)))
+    text = table(compared(found))
+    (arguments.out / "folds.md").write_text(f"{text}\n", encoding="utf-8")
+    print(text)
 
 
 if __name__ == "__main__":

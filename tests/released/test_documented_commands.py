@@ -48,6 +48,8 @@ NOT_RUN = {  # beginning of a line -> why no test types it
     "python runs/serve_load.py": "loads a server for a minute; by hand",
     "lidar2pano bulk /data/drives --out /data/panoramas --ray head:6379": "no cluster here",
     "lidar2pano evaluate kitti-mini --data data/pandaset": "PandaSet does not ship; tests/evaluate has a small one",
+    "lidar2pano evaluate kitti-mini 'OUT/levels": "needs hours of training; tests/evaluate/test_folds.py",
+    "python runs/cross_validation.py": "trains for hours; tests/train/test_cross_validation.py",
     "lidar2pano prepare ROOT --lidar none --teacher mask2former:PATH": "the teacher's weights do not ship",
     "lidar2pano prepare ROOT --teacher": "no camera teacher ships; tests/prepare has small ones",
     "lidar2pano train sdnet --data CITYSCAPES": "Cityscapes does not ship; tests/docs/test_semantic_kitti.py",

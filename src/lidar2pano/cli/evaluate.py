@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from lidar2pano.data.frames import Frame
-    from lidar2pano.evaluate import Evaluation, System
+    from lidar2pano.evaluate import Evaluation, MetricConfig, System
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
     from lidar2pano.evaluate.pictures import Preferences
 
@@ -43,6 +43,14 @@ LeaveOutOption = Annotated[
         help="Hide this camera, or each in turn, and predict its view without and with the other cameras.",
     ),
 ]
+FoldsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=ROOT:SPLIT",
+        help="A place, city or sensor that is scored whole, instead of --data; repeatable. {fold} in WEIGHTS is its"
+        " name: weights that have not seen it.",
+    ),
+]
 
 
 @app.command()
@@ -56,8 +64,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         ),
     ],
     data: Annotated[
-        Path, typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, or surround cameras.")
-    ],
+        Path | None, typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, or surround cameras.")
+    ] = None,
     split: Annotated[str, typer.Option(metavar="NAME", help="One of its splits.")] = "val",
     metrics: MetricsOption = "",
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor of the scans, e.g. pandar64.")] = "",
@@ -75,6 +83,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     out: OutOption = Path("worst"),
     pairs: PairsOption = None,
     leave_out: LeaveOutOption = "",
+    folds: FoldsOption = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
@@ -87,12 +96,23 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
 
     check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
     keep_buffers()
+    config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
+
+    def systems_of(names: Iterable[str]) -> list[System]:
+        return [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(names)]
+
+    if folds:
+        if data or worst or pairs or leave_out:
+            raise InputError("--folds compares scores over places; leave out --data, --worst, --pairs and --leave-out")
+        score_folds(weights, folds, systems_of, config, as_json, as_csv)
+        return
+    if data is None:
+        raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     scored = frames(data, split)
     if leave_out:
         leave_out_cameras(weights, scored, leave_out, out, as_json, device, engine)
         return
-    config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
-    systems = [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(weights)]
+    systems = systems_of(weights)
     name = data.resolve().name
     preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
     with bar(len(scored), f"evaluating {split}") as advance:
@@ -106,6 +126,44 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         print_note(f"choose between the panoramas: {preferences.write()}")
     note_systems(systems)
     print(report.table(summary))
+
+
+def score_folds(
+    weights: Sequence[str],
+    texts: Sequence[str],
+    systems_of: Callable[[Iterable[str]], list[System]],
+    config: MetricConfig,
+    as_json: Path | None,
+    as_csv: Path | None,
+) -> None:
+    """Score every fold, write the requested files, and print a table of means over folds."""
+    from lidar2pano.cli.console import bar
+    from lidar2pano.cli.options import write_json
+    from lidar2pano.data.layouts import frames
+    from lidar2pano.evaluate import report, score
+    from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table, weights_without
+
+    names = list(dict.fromkeys(weights))
+    folded: dict[str, dict[str, dict[str, float]]] = {name: {} for name in names}
+    rows: list[dict[str, object]] = []
+    for fold in parse_folds(texts):
+        scored = frames(fold.root, fold.split)
+        systems = systems_of(weights_without(name, fold) for name in names)
+        with bar(len(scored), f"evaluating {fold.name}") as advance:
+            after_each = noted(None, advance)
+            place = fold.root.resolve().name
+            evaluation = score(systems, scored, data=place, split=fold.split, config=config, after_each=after_each)
+        summary = report.as_dict(evaluation)
+        rows += [{"fold": fold.name, **row} for row in report.records(summary)]
+        for name, result in zip(names, summary["results"], strict=True):
+            folded[name][fold.name] = scores_of(result)
+    comparison = compared(folded)
+    if as_json:
+        write_json(as_json, comparison, "--json")
+    if as_csv:
+        write_csv(as_csv, rows, "--csv")
+    note_systems(systems)
+    print(table(comparison))
 
 
 def leave_out_cameras(

@@ -1,0 +1,129 @@
+"""Scores over folds: places, cities or sensors, each one sample; frames of one place are not independent."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.evaluate.report import PREFIX, ROWS, markdown_table
+
+PLACEHOLDER = "{fold}"  # in a name of weights: the name of the fold that is scored, which those weights have not seen
+SHARE = 0.975  # of Student's distribution below the upper end of a 95 % interval
+ANGLES = 1 << 16  # at which its density is summed
+LEAST = 3  # folds for an interval
+
+Scores = Mapping[str, float]  # by value
+Folded = Mapping[str, Mapping[str, Scores]]  # by system, then by fold
+
+
+class Fold(NamedTuple):
+    """A split of a data set that is scored as one place."""
+
+    name: str
+    root: Path
+    split: str
+
+
+class Summary(NamedTuple):
+    """Mean over folds and half of its 95 % interval, None for fewer than LEAST folds."""
+
+    mean: float
+    reach: float | None
+
+    def __str__(self) -> str:
+        """Return "mean ± reach"."""
+        return f"{self.mean:.4f}" if self.reach is None else f"{self.mean:.4f} ± {self.reach:.4f}"
+
+
+def parse_folds(texts: Iterable[str]) -> list[Fold]:
+    """Return the folds of texts NAME=ROOT:SPLIT; InputError for another form, a name twice, fewer than two."""
+    folds: list[Fold] = []
+    for text in texts:
+        name, equals, place = text.partition("=")
+        root, colon, split = place.rpartition(":")
+        if not (name and equals and root and colon and split):
+            raise InputError(f"--folds {text}: say NAME=ROOT:SPLIT, as in harbour=data/harbour:val")
+        folds.append(Fold(name, Path(root), split))
+    names = [fold.name for fold in folds]
+    if len(set(names)) != len(names):
+        raise InputError(f"--folds: {', '.join(names)} name a fold twice")
+    if len(folds) < 2:
+        raise InputError("--folds: one fold is no comparison over places; give two or more, or --data and --split")
+    return folds
+
+
+def weights_without(weights: str, fold: Fold) -> str:
+    """Return the weights that have not seen a fold: PLACEHOLDER stands for its name."""
+    return weights.replace(PLACEHOLDER, fold.name)
+
+
+def summary_of(values: Sequence[float]) -> Summary:
+    """Return the mean of values, one a fold, and its interval by Student's t distribution."""
+    mean = statistics.mean(values)
+    if len(values) < LEAST:
+        return Summary(mean, None)
+    return Summary(mean, quantile(len(values) - 1) * statistics.stdev(values) / len(values) ** 0.5)
+
+
+def quantile(degrees: int) -> float:
+    """Return the quantile SHARE of Student's t distribution with so many degrees of freedom.
+
+    With t = sqrt(n) tan(a) its density is proportional to cos(a)^(n - 1) in a.
+    """
+    edges = np.linspace(0, np.pi / 2, ANGLES + 1)
+    below = np.cumsum(np.cos((edges[1:] + edges[:-1]) / 2) ** (degrees - 1))
+    angle = np.interp(2 * SHARE - 1, below / below[-1], edges[1:])
+    return float(degrees**0.5 * np.tan(angle))
+
+
+def scores_of(result: Mapping[str, Any]) -> dict[str, float]:
+    """Return the values of an entry of "results" (`report.as_dict`) that reports show, by "SECTOR NAME"."""
+    return {
+        f"{entry['sector']} {entry['name']}": entry["value"]
+        for entry in result["values"]
+        if entry["value"] is not None and (entry["name"] in ROWS or entry["name"] == "miou")
+    }
+
+
+def compared(folded: Folded) -> dict[str, Any]:
+    """Return everything, ready for JSON: each system's values by fold, their mean, the difference to the first system.
+
+    Differences are paired: of the same folds. A value that some fold lacks is left out of all; InputError without any.
+    """
+    first = next(iter(folded.values()))
+    folds = list(first)
+    common = [
+        name for name in first[folds[0]] if all(name in scores[fold] for scores in folded.values() for fold in folds)
+    ]
+    if not common:
+        raise InputError(f"no value is defined on all of {', '.join(folds)}; choose other --metrics or folds")
+    systems: list[dict[str, Any]] = []
+    for system, scores in folded.items():
+        rows: list[dict[str, Any]] = []
+        for name in common:
+            values = [scores[fold][name] for fold in folds]
+            gaps = [value - first[fold][name] for value, fold in zip(values, folds, strict=True)]
+            parts = {"mean": summary_of(values), "difference": summary_of(gaps)}
+            rows.append({"name": name, "values": values} | {key: part._asdict() for key, part in parts.items()})
+        systems.append({"weights": system, "scores": rows})
+    return {"folds": folds, "systems": systems}
+
+
+def table(comparison: Mapping[str, Any]) -> str:
+    """Return Markdown of `compared`: a row per value and system."""
+    rows: list[list[str]] = []
+    systems = comparison["systems"]
+    for number in range(len(systems[0]["scores"])):
+        for system in systems:
+            score = system["scores"][number]
+            sector, name = score["name"].split(" ", 1)
+            title = ROWS[name].title if name in ROWS else "mIoU"
+            summaries = [str(Summary(**score[key])) for key in ("mean", "difference")]
+            cells = [f"{value:.4f}" for value in score["values"]]
+            rows.append([f"{PREFIX.get(sector, f'{sector}: ')}{title}", system["weights"], *cells, *summaries])
+    return markdown_table(["score", "weights", *comparison["folds"], "mean", "to the first"], rows)
