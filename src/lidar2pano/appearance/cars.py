@@ -105,7 +105,7 @@ class Boxes(NamedTuple):
         return torch.stack([-self.ahead[1], self.ahead[0]])
 
     def of(self, index: Tensor) -> Boxes:
-        """The cars that `index` picks of the last dimension."""
+        """The cars of an index into the last dimension."""
         return Boxes(*(part[..., index] for part in self))
 
 
@@ -316,7 +316,7 @@ class Sample(NamedTuple):
 
 
 def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View) -> tuple[Found, Measured]:
-    """The nearest cars that fill enough columns; arguments as of Measured."""
+    """The nearest cars of enough columns; arguments as of Measured."""
     rows = slice(EVERY // 2, None, EVERY)
     slope, radii_m = slopes(view, device=cars.device)[:, None], radius_m[rows]
     height_m, over_edge_m = radii_m * slope[rows] + above_m, radii_m * (slope[rows] - slope[-1])
@@ -393,7 +393,7 @@ def fitted(cars: Found, measured: Measured, earlier: Boxes | None = None) -> tup
 
 
 def _placed(cars: Found, measured: Measured) -> Boxes:
-    """Boxes (n, 12) that the visible parts of cars may belong to: two directions, three places along, two across."""
+    """Candidate boxes (n, 12) of the visible parts of cars: two directions, three places along, two across."""
     made, in_view_m = [], measured.above_m + cars.distance_m * slopes(measured.view)[-1]
     sideways = (cars.length_m > WIDEST_M) & (in_view_m > CUT_FROM_M)
     for lengthwise, ends in product((True, False), product((1.0, 0.0, -1.0), (1.0, 0.0))):
@@ -425,7 +425,7 @@ def _turned(boxes: Boxes, top_m: Tensor) -> Boxes:
 
 
 def _nudged(boxes: Boxes, score: Tensor, covered: Tensor, step: float, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:
-    """The boxes, moved by a step of MOVES there or back where that is better: the best one alone, or all at once."""
+    """The boxes, moved by a step of MOVES there or back where it helps: the best one alone, or all at once."""
     tried = [_moved(boxes, move, sign * step) for move, sign in product(range(len(MOVES)), (1, -1))]
     single_scores, covered_by_each = _scores(_alternatives(tried), sample)
     forth, back = single_scores[:, ::2], single_scores[:, 1::2]
@@ -481,7 +481,7 @@ def _sampled(cars: Found, measured: Measured) -> Sample:
 
 
 def _row(slope: Tensor, view: View) -> Tensor:
-    """Rows int64 of a view in which directions of these tangents are."""
+    """Rows int64 of a view, of directions with these tangents."""
     height = torch.rad2deg(torch.atan(slope)) if view.kind == "sphere" else slope
     return ((view.up - height) / (view.up - view.down) * view.rows).long().clamp(0, view.rows - 1)
 
@@ -699,7 +699,7 @@ def _drawn(boxes: Boxes, measured: Measured, other_vehicles: Tensor, place: Tens
 
 
 def _highest(boxes: Boxes, above_m: Tensor) -> Tensor:
-    """The tangent of the elevation above which no car is in view."""
+    """The tangent of the highest elevation with a car in view."""
     nearest_m = (boxes.middle.norm(dim=0) - LENGTH_M[1] / 2).clamp(min=1)
     return ((boxes.top_m + boxes.base_m - above_m) / nearest_m).amax().clamp(min=0)
 
@@ -737,7 +737,7 @@ def _shaded(car_boxes: Boxes, column: Tensor, measured: Measured, ray: Tensor) -
 
 
 def _outside(measured: Measured, other_vehicles: Tensor, nearest_m: Tensor, numbers: Tensor) -> Tensor:
-    """Pixels (H, W) bool that may be car, and are likelier so than another vehicle, but are outside of drawn bodies."""
+    """Pixels (H, W) bool outside of drawn bodies, perhaps of a car, and likelier so than of another vehicle."""
     inside = nearest_m.isfinite()
     mean_m = torch.where(inside, nearest_m, 0).sum(0) / inside.sum(0)  # NaN where no body was drawn
     near = (measured.radius_m / mean_m).log().abs() < SAME_CAR
@@ -749,7 +749,7 @@ def _outside(measured: Measured, other_vehicles: Tensor, nearest_m: Tensor, numb
 def _without(
     segments: Tensor, measured: Measured, gone: Tensor, inside: Tensor, classes: Classes
 ) -> tuple[Tensor, Tensor]:
-    """Segments and distances that show what is behind, where a car is `gone`: a copy.
+    """Copies of segments and distances, with the background where a car is `gone`.
 
     That is as far away as what is next above it; the ground is where it was.
     """
@@ -792,7 +792,7 @@ def _world(boxes: Boxes, view: View, pose: np.ndarray | None) -> tuple[Tensor, T
 
 
 def _paint(place: Tensor) -> Tensor:
-    """A tone (3, n) for cars that stand at `place` (2, n) in the world, metres: most are grey, few red or blue."""
+    """A tone (3, n) for cars at `place` (2, n) in the world, metres: most are grey, few red or blue."""
     waves = [
         torch.sin(2 * math.pi / length * (place[0] * math.cos(1.1 * k) + place[1] * math.sin(1.1 * k)) + k)
         for k, length in enumerate(PAINT_WAVES_M)

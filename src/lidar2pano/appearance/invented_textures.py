@@ -1,4 +1,4 @@
-"""Invented textures: noise that hangs in space, the outlines it gives to crowns, facades, houses' and clothes' colours.
+"""Invented textures: noise fixed in space, the outlines it gives to crowns, facades, houses' and clothes' colours.
 
 Noise is a random field, read at the point of each pixel, after Perlin 1985 (solid texture): leaves and gravel get the
 scene's perspective, look the same from every side and stay in place when the sensor moves. One periodic tile of voxels
@@ -207,7 +207,7 @@ def against_the_sky(  # noqa: PLR0913, PLR0917 which class is what is the caller
     sky: int,
     vegetation: int,
 ) -> Tensor:
-    """Segments (B, C, H, W) in which a sharp outline parts the sky from the rest, one with leaves where trees grow.
+    """Segments (B, C, H, W) with a sharp outline between the sky from the rest, one with leaves where trees grow.
 
     segments       (B, C, H, W): probabilities, whose ratios among all other classes stay as they are.
     probabilities  (B, C, H, W): those that say where the sky is;  depth_m: (B, H, W) metres.
@@ -282,7 +282,7 @@ def _gaussian(deviation: float, like: Tensor) -> Tensor:
 
 
 class Facades(NamedTuple):
-    """What walls show: `openings` (B, H, W) in [0, 1], the share of each pixel that is a window or a door.
+    """What walls show: `openings` (B, H, W) in [0, 1], the share of windows and doors in each pixel.
 
     tone  (B, 3, W): how bright the house of each column is in red, green and blue, about uniform in [-1, 1].
     """
@@ -368,14 +368,14 @@ def _lines(point: Tensor, profile: Tensor, weight: Tensor) -> tuple[Tensor, Tens
 
 
 def _direction(tangent: Tensor, weight: Tensor) -> Tensor:
-    """Number (B, W) of the direction in which most walls around a column run, of DIRECTIONS per half turn."""
+    """Number (B, W) of the direction of most walls around a column, of DIRECTIONS per half turn."""
     number = (torch.atan2(tangent[:, 1], tangent[:, 0]) * (DIRECTIONS / math.pi)).round().remainder(DIRECTIONS)
     votes = one_hot(number.long(), DIRECTIONS).movedim(2, 1) * weight[:, None]
     return avg_pool1d(pad(votes.float(), (REACH, REACH), mode="circular"), 2 * REACH + 1, 1).argmax(1)
 
 
 def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
-    """Share (B, H, W) of each pixel that is a pane or a door, of walls whose pixels are level_m above the road."""
+    """Share (B, H, W) of panes and doors in each pixel, of walls whose pixels are level_m above the road."""
     house = walls.house
     storey = (2.6 + 0.7 * _uniform(house, 1))[:, None]
     sill, tall = (0.7 + 0.4 * _uniform(house, 2))[:, None], (1.1 + 0.5 * _uniform(house, 3))[:, None]
@@ -410,7 +410,7 @@ def _bar(middle_m: Tensor, pixel_m: Tensor) -> Tensor:
 
 
 def _mixed(number: Tensor) -> Tensor:
-    """Numbers int64 in [0, 2^31) that look random, of numbers (splitmix's multipliers, 31 bits)."""
+    """Pseudo-random numbers int64 in [0, 2^31), of numbers (splitmix's multipliers, 31 bits)."""
     mask = 0x7FFFFFFF
     number = number & mask
     number = ((number ^ (number >> 15)) * 0x2C1B3C6D) & mask
@@ -476,7 +476,7 @@ def invented_tones(
 
 
 def _add_colours(tones: Tensor, segments: Tensor, height_m: Tensor, noise: Tensor) -> None:
-    """Add to tones (B, 3, H, W) those of people and signs, which are few pixels."""
+    """Add to tones (B, 3, H, W) those of people and signs, a few pixels each."""
     people, signs = ((segments[:, number] > LIKELY).nonzero(as_tuple=True) for number in (PERSON, SIGN))
     dressed, lettered = clothing(height_m[people], noise[people]), sign_colours(noise[signs])
     for number, place, colours in ((PERSON, people, dressed), (SIGN, signs, lettered)):

@@ -1,4 +1,4 @@
-"""Appearance: a painter's input layers, made from a scene by adding all that no scan shows."""
+"""Appearance: a painter's input layers, made from a scene by adding everything invisible to a scan."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Appearance(NamedTuple):
 def appear(
     scene: Scene, sharp: float, unread: Sequence[int] = (), sun: bool = False, previous: Boxes | None = None
 ) -> Appearance:
-    """Invent the appearance of a scene, which itself stays as it is.
+    """Invent the appearance of a scene; the scene itself stays as it is.
 
     sharp     power that class probabilities are raised to before they sum to 1 again.
     unread    ids of classes whose remission is not read;  sun: as of Hints.
@@ -95,7 +95,7 @@ def appear(
 
 
 def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
-    """Raise probabilities (B, classes, H, W) to a power, so that they sum to 1 again."""
+    """Raise probabilities (B, classes, H, W) to a power, and normalise their sum to 1."""
     raised = segments.float()
     if not isinstance(power, Tensor) and power in (2, 4):  # a quarter of the time of other powers
         for _ in range(int(power) // 2):
@@ -217,7 +217,7 @@ def _remission(scene: Scene, unread: Sequence[int]) -> tuple[Tensor, Tensor]:
 
 
 def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Means over WINDOWS of what is valid, around every pixel; the first window that holds anything counts.
+    """Means over WINDOWS of the valid pixels around every pixel; the first window with any counts.
 
     values, valid  (B, H, W), valid 0 or 1; columns are circular.
     Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
@@ -253,7 +253,7 @@ def equalised_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) 
 
 
 def quiet_road(remission: Tensor, valid: Tensor, road: Tensor) -> Tensor:
-    """Remission (B, H, W) without its noise on the road, which became strokes of white paint there.
+    """Remission (B, H, W) without its noise on the road, once strokes of white paint there.
 
     A scan's mean deviation from the mean of its road is the measure: up to NOISE of them there is the mean, from MARK
     on what was measured, since lane marks are few and bright, and in between a share of the difference.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from lidar2pano.data.frames import Frame
     from lidar2pano.evaluate import Evaluation, MetricConfig, System
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
+    from lidar2pano.evaluate.folds import Fold
     from lidar2pano.evaluate.pictures import Preferences
 
 
@@ -88,32 +90,50 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
-    from lidar2pano.cli.console import bar
-    from lidar2pano.data.layouts import frames
-    from lidar2pano.evaluate import MetricConfig, report, score, system
-    from lidar2pano.evaluate.pictures import Preferences
+    from lidar2pano.evaluate import MetricConfig
+    from lidar2pano.evaluate.folds import Fold
     from lidar2pano.hardware import keep_buffers
 
     check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
-
-    def systems_of(names: Iterable[str]) -> list[System]:
-        return [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(names)]
-
+    build = partial(build_systems, device=device, sensor=sensor, engine=engine)
     if folds:
         if data or worst or pairs or leave_out:
             raise InputError("--folds compares scores over places; leave out --data, --worst, --pairs and --leave-out")
-        score_folds(weights, folds, systems_of, config, as_json, as_csv)
-        return
-    if data is None:
+        score_folds(weights, folds, build, config, as_json, as_csv)
+    elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
-    scored = frames(data, split)
-    if leave_out:
-        leave_out_cameras(weights, scored, leave_out, out, as_json, device, engine)
-        return
-    systems = systems_of(weights)
-    name = data.resolve().name
+    elif leave_out:
+        leave_out_cameras(weights, data, split, leave_out, out, as_json, device, engine)
+    else:
+        score_split(build(weights), Fold(split, data, split), config, as_json, as_csv, out, worst, pairs)
+
+
+def build_systems(names: Iterable[str], device: str, sensor: str, engine: str) -> list[System]:
+    """Build the systems of names, each once."""
+    from lidar2pano.evaluate import system
+
+    return [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(names)]
+
+
+def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
+    systems: Sequence[System],
+    place: Fold,
+    config: MetricConfig,
+    as_json: Path | None,
+    as_csv: Path | None,
+    out: Path,
+    worst: int,
+    pairs: Path | None,
+) -> None:
+    """Score one split, write the requested files, and print a table."""
+    from lidar2pano.cli.console import bar
+    from lidar2pano.data.layouts import frames
+    from lidar2pano.evaluate import report, score
+    from lidar2pano.evaluate.pictures import Preferences
+
+    scored, name, split = frames(place.root, place.split), place.root.resolve().name, place.split
     preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
     with bar(len(scored), f"evaluating {split}") as advance:
         after_each = noted(preferences, advance)
@@ -131,7 +151,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
 def score_folds(
     weights: Sequence[str],
     texts: Sequence[str],
-    systems_of: Callable[[Iterable[str]], list[System]],
+    build: Callable[[Iterable[str]], list[System]],
     config: MetricConfig,
     as_json: Path | None,
     as_csv: Path | None,
@@ -148,7 +168,7 @@ def score_folds(
     rows: list[dict[str, object]] = []
     for fold in parse_folds(texts):
         scored = frames(fold.root, fold.split)
-        systems = systems_of(weights_without(name, fold) for name in names)
+        systems = build(weights_without(name, fold) for name in names)
         with bar(len(scored), f"evaluating {fold.name}") as advance:
             after_each = noted(None, advance)
             place = fold.root.resolve().name
@@ -168,7 +188,8 @@ def score_folds(
 
 def leave_out_cameras(
     weights: Sequence[str],
-    frames: Sequence[Frame],
+    data: Path,
+    split: str,
     leave_out: str,
     out: Path,
     as_json: Path | None,
@@ -178,6 +199,7 @@ def leave_out_cameras(
     """Score the views of hidden cameras, write a sheet of each, and print a table."""
     from lidar2pano.cli.console import bar
     from lidar2pano.cli.options import write_json
+    from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig
     from lidar2pano.evaluate.hidden_cameras import score_hidden, table
     from lidar2pano.pipeline import load
@@ -185,9 +207,9 @@ def leave_out_cameras(
     if len(weights) != 1:
         raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
     patches = MetricConfig.parse("pictures,camera", device=device).patches
-    pipeline = load(weights[0], device, engine)
-    with bar(len(frames), f"hiding {leave_out}") as advance:
-        scores = score_hidden(pipeline, frames, leave_out, patches, sheets=out, after_each=advance)
+    scored, pipeline = frames(data, split), load(weights[0], device, engine)
+    with bar(len(scored), f"hiding {leave_out}") as advance:
+        scores = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance)
     summary = scores.as_dict()
     if as_json:
         write_json(as_json, summary, "--json")

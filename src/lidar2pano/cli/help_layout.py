@@ -7,7 +7,7 @@ from typing import Any
 
 LONG = 6  # options; a shorter list has no groups
 PANELS: dict[str, str] = {  # group -> its options, of whatever command
-    "Scans": "--data --split --frames --sequences --hz --place --topic --every --from --to --follow",
+    "Scans": "--data --split --folds --frames --sequences --hz --place --topic --every --from --to --follow",
     "How scans are read": "--sensor --sensor-height --forward --remission --strict --labels",
     "Cameras": "--camera --cameras --mask --calib --image-size --leave-out",
     "Panoramas": "--weights --look --quality --seed --steady --invent",

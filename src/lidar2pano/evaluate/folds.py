@@ -12,7 +12,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.report import PREFIX, ROWS, markdown_table
 
-PLACEHOLDER = "{fold}"  # in a name of weights: the name of the fold that is scored, which those weights have not seen
+PLACEHOLDER = "{fold}"  # in a name of weights: stands for the name of the fold to be scored
 SHARE = 0.975  # of Student's distribution below the upper end of a 95 % interval
 ANGLES = 1 << 16  # at which its density is summed
 LEAST = 3  # folds for an interval
@@ -22,7 +22,7 @@ Folded = Mapping[str, Mapping[str, Scores]]  # by system, then by fold
 
 
 class Fold(NamedTuple):
-    """A split of a data set that is scored as one place."""
+    """A split of a data set, scored as one place."""
 
     name: str
     root: Path
@@ -58,7 +58,7 @@ def parse_folds(texts: Iterable[str]) -> list[Fold]:
 
 
 def weights_without(weights: str, fold: Fold) -> str:
-    """Return the weights that have not seen a fold: PLACEHOLDER stands for its name."""
+    """Return a name of weights with the name of the fold to be scored in the place of PLACEHOLDER."""
     return weights.replace(PLACEHOLDER, fold.name)
 
 
@@ -76,13 +76,13 @@ def quantile(degrees: int) -> float:
     With t = sqrt(n) tan(a) its density is proportional to cos(a)^(n - 1) in a.
     """
     edges = np.linspace(0, np.pi / 2, ANGLES + 1)
-    below = np.cumsum(np.cos((edges[1:] + edges[:-1]) / 2) ** (degrees - 1))
-    angle = np.interp(2 * SHARE - 1, below / below[-1], edges[1:])
+    cumulated = np.cumsum(np.cos((edges[1:] + edges[:-1]) / 2) ** (degrees - 1))
+    angle = np.interp(2 * SHARE - 1, cumulated / cumulated[-1], edges[1:])
     return float(degrees**0.5 * np.tan(angle))
 
 
 def scores_of(result: Mapping[str, Any]) -> dict[str, float]:
-    """Return the values of an entry of "results" (`report.as_dict`) that reports show, by "SECTOR NAME"."""
+    """Return the values of an entry of "results" (`report.as_dict`) as in reports, by "SECTOR NAME"."""
     return {
         f"{entry['sector']} {entry['name']}": entry["value"]
         for entry in result["values"]

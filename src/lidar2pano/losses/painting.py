@@ -166,7 +166,7 @@ def inside(share: Tensor, pixels: int) -> Tensor:
 
 
 def _changes(image: Tensor) -> Tensor:
-    """Return (B, 1, H - STEP_PX, W): distance of the mean along each row from that of the row STEP_PX above."""
+    """Return (B, 1, H - STEP_PX, W): distance of the mean along each row from the mean along the row STEP_PX above."""
     rows = avg_pool2d(image.mean(1, keepdim=True), (1, LENGTH_PX), 1, (0, LENGTH_PX // 2), count_include_pad=False)
     return (rows[:, :, STEP_PX:] - rows[:, :, :-STEP_PX]).abs()
 

@@ -28,7 +28,7 @@ class Confusion:
     """
 
     def __init__(self, classes: int | LabelSet, *, unscored: Iterable[int] = ()) -> None:
-        """classes: their number, or a label set; unscored: target ids that are not scored, each in [0, K)."""
+        """classes: their number, or a label set; unscored: target ids left out, each in [0, K)."""
         self.names = tuple(str(c) for c in (range(classes) if isinstance(classes, int) else classes.classes))
         self.unscored = tuple(sorted(set(unscored)))
         self.counts = torch.zeros(len(self.names), len(self.names), dtype=torch.int64)

@@ -91,7 +91,7 @@ class Inception(nn.Module):
         self.fc = nn.Linear(FEATURES, CLASSES)
 
     def load_published(self, state: Mapping[str, Tensor], source: str) -> None:
-        """Load published weights, every one; `source` begins the InputError for tensors that do not fit."""
+        """Load published weights, every one; `source` begins the InputError for unfit tensors."""
         # batch-norm counters are not used in evaluation, and not every file has them
         theirs = {key: value for key, value in state.items() if not key.endswith(".num_batches_tracked")}
         ours = {key: value for key, value in self.state_dict().items() if not key.endswith(".num_batches_tracked")}
@@ -236,7 +236,7 @@ class InceptionD(nn.Module):
 
 
 class InceptionE(nn.Module):
-    """The blocks at 8 x 8 (figure 7), two branches that end in two: (B, inputs, H, W) -> (B, 2048, H, W)."""
+    """The blocks at 8 x 8 (figure 7), two branches, each ends in two: (B, inputs, H, W) -> (B, 2048, H, W)."""
 
     def __init__(self, inputs: int, *, max_pool: bool) -> None:
         super().__init__()
