@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS
 from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.geometry.reprojection import CUBE_AXES
+from lidar2pano.geometry.camera import CUBE_AXES
 from lidar2pano.pipeline import Pipeline
 
 MIRRORED, SEMANTIC_KITTI = "", "semantickitti"  # layouts
