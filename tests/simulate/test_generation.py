@@ -173,11 +173,11 @@ def test_a_stopped_run_goes_on_and_gives_the_same_bytes(made):
 
 
 def test_two_processes_write_the_same_bytes_and_another_seed_others(tmp_path):
-    words = ["--sequences", "2", "--frames", "1", "--place", "motorway", "--save", "scans"]
+    words = ["--frames", "1", "--place", "motorway", "--save", "scans", "--sensor", "vlp16"]
     for name, more in {
-        "one": ["--processes", "1"],
-        "two": ["--processes", "2"],
-        "other": ["--processes", "1", "--seed", "1"],
+        "one": ["--sequences", "2", "--processes", "1"],
+        "two": ["--sequences", "2", "--processes", "2"],
+        "other": ["--sequences", "1", "--processes", "1", "--seed", "1"],
     }.items():
         assert main(["world", str(tmp_path / name), *words, *more]) == 0
     one, two, other = (contents(tmp_path / name) for name in ("one", "two", "other"))
