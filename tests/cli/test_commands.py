@@ -41,6 +41,8 @@ from lidar2pano.pipeline import load
 from lidar2pano.progress import working
 from random_weights import CALIB, LICENCE, street, write_data_set, write_scan, write_weights
 
+# each command would start a child process of its own for the first scan that it reads
+pytestmark = pytest.mark.usefixtures("in_this_process")
 OPTIONS = Path(__file__).with_name("cli_options.txt")
 STAGES = ["read", "project", "segment", "clean_up", "translate", "paint", "finish", "save"]
 
