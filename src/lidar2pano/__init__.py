@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration, LensCalibration, read_calib
     from lidar2pano.drives.reading import posed_scans, scans
+    from lidar2pano.drives.viewpoints import Place, scans_at
     from lidar2pano.errors import InputError
     from lidar2pano.geometry.projection import RangeImage, project
     from lidar2pano.geometry.stitching import Camera
@@ -39,6 +40,7 @@ _HOME = {
     "Memory": "memory",
     "Panorama": "panorama",
     "Pipeline": "pipeline",
+    "Place": "drives.viewpoints",
     "RangeImage": "geometry.projection",
     "Scan": "scan",
     "View": "views",
@@ -48,6 +50,7 @@ _HOME = {
     "read": "recordings.recorded_scans",
     "read_calib": "calibration",
     "scans": "drives.reading",
+    "scans_at": "drives.viewpoints",
 }
 
 __all__ = [
@@ -64,6 +67,7 @@ __all__ = [
     "Memory",
     "Panorama",
     "Pipeline",
+    "Place",
     "RangeImage",
     "Scan",
     "View",
@@ -74,6 +78,7 @@ __all__ = [
     "read",
     "read_calib",
     "scans",
+    "scans_at",
 ]
 
 

@@ -223,3 +223,31 @@ def look_up_slowly(image: np.ndarray, view: View, ray: tuple[float, float, float
         sum(share * float(image[i, j % view.columns, channel]) for (i, j), share in corners.items())
         for channel in range(image.shape[2])
     ]
+
+
+def first_hits_slowly(surfels, rays) -> np.ndarray:
+    """Range of each ray (B, F): of the nearest ellipse it meets, averaged with those right behind it.
+
+    Right behind: no farther than their own reach. The ray meets an ellipse where it meets its plane; an offset's parts along the half axes are 1 at the border.
+    """
+    ranges = np.full((len(rays.elevation), rays.firings), np.inf)
+    for beam in range(len(rays.elevation)):
+        for firing in range(rays.firings):
+            azimuth = math.radians(180 - (firing + 0.5) * 360 / rays.firings) + rays.azimuth[beam]
+            level = math.cos(rays.elevation[beam])
+            ray = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(rays.elevation[beam])])
+            hits = []
+            for number in range(len(surfels)):
+                centre, normal = surfels.centre[number], surfels.normal[number]
+                if np.linalg.norm(centre) <= surfels.reach_m[number]:
+                    continue
+                range_m = centre @ normal / (ray @ normal)
+                offset = ray * range_m - centre
+                square = (offset @ surfels.major[number]) ** 2 + (offset @ surfels.minor[number]) ** 2
+                if range_m > 0 and square <= 1:
+                    hits.append((range_m, math.exp(-2 * square), surfels.reach_m[number]))
+            if hits:
+                nearest = min(range_m for range_m, _, _ in hits)
+                front = [(range_m, weight) for range_m, weight, reach in hits if range_m <= nearest + reach]
+                ranges[beam, firing] = sum(r * w for r, w in front) / sum(w for _, w in front)
+    return ranges

@@ -21,13 +21,14 @@ from lidar2pano.cli.console import bar, print_error, print_note, print_weights, 
 from lidar2pano.cli.options import check_file
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.drives.reading import (
+    Reading,
     ReadingOptions,
-    ScanSource,
     StreamReader,
     check_followed,
     follow_folder,
     scan_sources,
 )
+from lidar2pano.drives.viewpoints import Place, place_readings
 from lidar2pano.engines import pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
@@ -146,8 +147,19 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
             print_note(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
         countable = not any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)
         scans = scan_sources(files, options.reading.selection, stems)
-        failed |= translate_sources(scans, len(files) if countable else 0, options)
+        readings = StreamReader(options.reading)(scans)
+        failed |= translate_readings(readings, len(files) if countable else 0, options)
     return MISTAKE if failed else 0
+
+
+def translate_places(paths: Iterable[Path], places: Sequence[Place], options: Options) -> int:
+    """Translate what is seen from places of the map of `paths`, and return the exit code, as `translate_files`."""
+    with spooled(paths) as sources:
+        files, failed = gather_files(sources, options)
+        if failed:
+            return MISTAKE
+        readings = place_readings(files, places, options.sensor, options.reading)
+        return MISTAKE if translate_readings(readings, len(places), options) else 0
 
 
 def translate_followed(paths: Sequence[Path], options: Options) -> int:
@@ -155,10 +167,10 @@ def translate_followed(paths: Sequence[Path], options: Options) -> int:
     folder = check_followed(paths, options.reading.selection)
     with until_signal(signal.SIGINT, signal.SIGTERM) as stopped:
         sources = follow_folder(folder, options.reading.selection, stopped)
-        return MISTAKE if translate_sources(sources, 0, options) else 0
+        return MISTAKE if translate_readings(StreamReader(options.reading)(sources), 0, options) else 0
 
 
-def translate_sources(sources: Iterable[ScanSource], total: int, options: Options) -> bool:
+def translate_readings(readings: Iterable[Reading], total: int, options: Options) -> bool:
     """Translate scans one after the other and print a record of each; return whether one failed."""
     translator, reporter = Translator(options.pipeline), ErrorReporter(options.note)
     with options.common.opened(options.weights) as common, bar(total, "translating") as advance:
@@ -169,7 +181,7 @@ def translate_sources(sources: Iterable[ScanSource], total: int, options: Option
             reporter.note_licence(translator.pipeline)  # before the first panorama is written
             return write_outputs(translation, options, common)
 
-        for translation in translate(StreamReader(options.reading)(sources), translator, [sink]):
+        for translation in translate(readings, translator, [sink]):
             if translation.error:
                 reporter.add(translation)
             else:

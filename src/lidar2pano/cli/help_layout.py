@@ -7,7 +7,8 @@ from typing import Any
 
 LONG = 6  # options; a shorter list has no groups
 PANELS: dict[str, str] = {  # group -> its options, of whatever command
-    "Scans": "--data --split --folds --frames --sequences --hz --place --topic --every --from --to --follow",
+    "Scans": "--data --split --folds --frames --sequences --hz --place --at --heading --topic --every --from --to"
+    " --follow",
     "How scans are read": "--sensor --sensor-height --forward --remission --strict --labels",
     "Cameras": "--camera --cameras --mask --calib --image-size --leave-out",
     "Panoramas": "--weights --look --quality --seed --steady --invent",
@@ -24,6 +25,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "translate": (
         "lidar2pano translate scan.bin",
         "lidar2pano translate drive/ --save all --json",
+        "lidar2pano translate map.laz --at 12.5,-3,1.8 --heading 90",
         "lidar2pano translate drive.mcap --topic /lidar/points --steady --video drive.mp4",
     ),
     "view": ("lidar2pano view scan.pcd", "lidar2pano view drive/velodyne --out drive.html"),

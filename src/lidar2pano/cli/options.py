@@ -16,6 +16,8 @@ from lidar2pano.errors import InputError, closest
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration
     from lidar2pano.drives.camera_choice import CameraOptions
+    from lidar2pano.drives.reading import ReadingOptions
+    from lidar2pano.drives.viewpoints import Place
 
 KITTI_SIZE = "1242x375"
 MOST_PIXELS = 1 << 26  # of a camera's image
@@ -111,6 +113,17 @@ EngineOption = Annotated[
         " compiled them before, else torch.",
     ),
 ]
+AtOption = Annotated[
+    str,
+    typer.Option(
+        metavar="X,Y,Z|FILE",
+        help="A place in a map, or a file of places: the scans are a map in one frame, seen from there.",
+    ),
+]
+HeadingOption = Annotated[
+    float | None,
+    typer.Option(metavar="DEG", help="Direction ahead at --at, counter-clockwise from the map's x axis; else 0."),
+]
 SaveOption = Annotated[
     str,
     typer.Option(
@@ -154,6 +167,24 @@ def collect_outputs(save: str, image_format: str, projection: str, ply: bool, an
         raise InputError("--annotations: are those of the cylinder; leave --projection out")
     pictures = collect_pictures(image_format, projection)
     return {"save": parse_save(save, extra=True), **pictures, "ply": ply, "annotations": forms}
+
+
+def parse_places(at: str, heading: float | None, follow: bool, reading: ReadingOptions) -> list[Place]:
+    """Return the places of --at, [] without it; InputError for options that have no meaning with it."""
+    from lidar2pano.drives.viewpoints import parse_places
+    from lidar2pano.formats.readers import ReadOptions
+
+    if not at:
+        if heading is not None:
+            raise InputError(f"--heading {heading:g}: is the direction ahead at a place of a map; name it with --at")
+        return []
+    if follow or reading.selection != ReadOptions():
+        raise InputError("--at takes a whole map; leave out --follow, --topic, --every, --from and --to")
+    if reading.overrides.forward or reading.overrides.sensor_height_m is not None:
+        raise InputError("--at says where the sensor stands; leave out --forward and --sensor-height")
+    if reading.cameras and (reading.cameras.named or reading.cameras.topics):
+        raise InputError("--at: cameras see no map from another place; leave out --camera and --cameras")
+    return parse_places(at, heading or 0.0)
 
 
 def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:

@@ -39,6 +39,8 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     save: opt.SaveOption = "rgb",
     as_json: opt.JsonOption = False,
     steady: opt.SteadyOption = False,
+    at: opt.AtOption = "",
+    heading: opt.HeadingOption = None,
     sensor_height: opt.HeightOption = None,
     forward: opt.ForwardOption = "",
     remission: opt.RemissionOption = "",
@@ -65,6 +67,14 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli import batch
     from lidar2pano.drives.reading import Overrides, ReadingOptions, ReadOptions
 
+    reading = ReadingOptions(
+        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
+        overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
+        poses=steady,
+        strict=strict,
+        cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
+    )
+    places = opt.parse_places(at, heading, follow, reading)
     options = batch.checked_options(
         weights,
         **opt.collect_choices(device, engine, look, quality, seed),
@@ -73,14 +83,11 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         calibration=opt.parse_camera(calib, image_size),
         **opt.collect_outputs(save, image_format, projection, ply, annotations),
         as_json=as_json,
-        reading=ReadingOptions(
-            selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
-            overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
-            poses=steady,
-            strict=strict,
-            cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
-        ),
+        reading=reading,
         common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )
-    code = batch.translate_followed(scans, options) if follow else batch.translate_files(scans, options)
+    if places:
+        code = batch.translate_places(scans, places, options)
+    else:
+        code = batch.translate_followed(scans, options) if follow else batch.translate_files(scans, options)
     raise typer.Exit(batch.open_page(options.common.page, code))

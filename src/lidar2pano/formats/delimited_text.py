@@ -8,7 +8,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -120,30 +120,40 @@ def numbers(data: bytes, path: Path, width: int) -> Table:
     most = data.count(b"\n") + 1
     if len(data) > MOST_BYTES or most > MOST_POINTS + 1:
         raise InputError(f"{path}: is too long for a single sweep (at most {MOST_POINTS} points); cut it")
-    table, count, lines, left_out = np.empty((most, width)), 0, 0, 0
-    for block in _blocks(data, path):
-        rows, odd = _rows(block, path, width, lines)
+    table, count, left_out = np.empty((most, width)), 0, 0
+    for rows, odd in tables(io.BytesIO(data), path, width):
         left_out += odd
-        if (not count and len(rows) and not np.isfinite(rows[:, :LEAST]).any()) or left_out > MOST_LEFT_OUT:
-            raise InputError(f"{path}: its lines are no numbers; name a scan")
         if count + len(rows) > most:
             raise InputError(f"{path}: its lines end in different ways; write them with one kind of line end")
         table[count : count + len(rows)] = rows
-        count, lines = count + len(rows), lines + block.count(b"\n")
+        count += len(rows)
     if not count:
         raise InputError(f"{path}: holds no points; name a scan that has some")
     return Table(table[:count], left_out)
 
 
-def _blocks(data: bytes, path: Path) -> Iterator[bytes]:
+def tables(file: BinaryIO, path: Path, width: int) -> Iterator[Table]:
+    """Yield the numbers of the lines of a file from where it stands, BLOCK_BYTES of text at a time; like `numbers`."""
+    lines, left_out, begun = 0, 0, False
+    for block in _blocks(file, path):
+        table = _rows(block, path, width, lines)
+        left_out += table.left_out
+        rows = table.values
+        if (not begun and len(rows) and not np.isfinite(rows[:, :LEAST]).any()) or left_out > MOST_LEFT_OUT:
+            raise InputError(f"{path}: its lines are no numbers; name a scan")
+        yield table
+        lines, begun = lines + block.count(b"\n"), begun or len(rows) > 0
+
+
+def _blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
     """Yield whole lines, BLOCK_BYTES or less together: what is made of them takes many times as much."""
-    start = 0
-    while start < len(data):
-        end = len(data) if len(data) - start <= BLOCK_BYTES else data.rfind(b"\n", start, start + BLOCK_BYTES) + 1
+    rest = b""
+    while data := rest + file.read(BLOCK_BYTES - len(rest)):
+        end = len(data) if len(data) < BLOCK_BYTES else data.rfind(b"\n") + 1
         if not end:
             raise InputError(f"{path}: has a line of more than {BLOCK_BYTES} characters; name a scan")
-        yield data[start:end]
-        start = end
+        yield data[:end]
+        rest = data[end:]
 
 
 def _rows(block: bytes, path: Path, width: int, lines: int) -> Table:

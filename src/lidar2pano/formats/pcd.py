@@ -10,13 +10,14 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import numbers
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
 EXTENSION_END = b"HEADER_EXT_END"  # of a second header, behind DATA
@@ -47,6 +48,8 @@ class Header:
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if header and content do not fit each other."""
     header, doubts = read_header(data, path), list[str]()
+    if max(header.points, *header.claims, 0) > MOST_POINTS:
+        raise sweep_error(path, max(header.points, *header.claims))
     if header.layout == "ascii":
         columns, doubts = _ascii(data, header, path)
     elif header.layout == "binary":
@@ -68,6 +71,21 @@ def decode(data: bytes, path: Path) -> PointCloud:
         viewpoint=header.viewpoint,
         doubts=doubts,
     )
+
+
+def row_layout(head: bytes, path: Path) -> RowLayout | None:
+    """Return how the points follow each other, by a file's beginning; None if they are packed or unsure."""
+    header = read_header(head, path)
+    if header.layout == "binary_compressed" or header.claims:
+        return None
+    form: Any = {
+        "names": [f"{place}" for place in range(len(header.fields))],
+        "formats": [(dtype, (count,)) if count != 1 else dtype for _, dtype, count, _ in header.fields],
+        "offsets": [offset for *_, offset in header.fields],
+        "itemsize": header.step,
+    }
+    columns = {name: place for place, (name, _, count, _) in enumerate(header.fields) if count == 1 and name != "_"}
+    return RowLayout(header.start, np.dtype(form), columns, header.points, header.layout == "ascii")
 
 
 def read_header(data: bytes, path: Path) -> Header:
@@ -109,7 +127,7 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     layout = entries["DATA"][0].lower()
     if layout not in {"ascii", "binary", "binary_compressed"}:
         raise InputError(f"{path}: PCD data of form {layout!r} are not read; write it as binary")
-    if max((points, *claims)) > MOST_POINTS or min((points, *claims)) < 0 or step < 1:
+    if min((points, *claims)) < 0 or step < 1:
         raise sweep_error(path, max((points, *claims)))
     return Header(
         fields=tuple(fields),

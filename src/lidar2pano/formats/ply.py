@@ -11,7 +11,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import BLOCK_BYTES, numbers
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
 MOST_LISTED = 1 << 21  # items with lists, walked one by one
@@ -51,16 +51,9 @@ class Element(NamedTuple):
 
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the vertices without their lists; InputError if header and content do not fit each other."""
-    end = data.find(b"end_header", 0, MOST_HEADER)
-    start = data.find(b"\n", end) + 1
-    if end < 0 or start < 1:
-        raise InputError(f"{path}: its PLY header has no end; the file is truncated")
-    layout, elements = _header(data[:end].decode("latin-1"), path)
-    place = next((place for place, element in enumerate(elements) if element.name == "vertex"), None)
-    if place is None:
-        raise InputError(f"{path}: has no vertices; name a PLY of points")
+    layout, elements, place, start = _whole_header(data, path)
     vertices, last = elements[place], place == len(elements) - 1
-    if not 0 <= vertices.count <= MOST_POINTS:
+    if vertices.count > MOST_POINTS:
         raise sweep_error(path, vertices.count)
     if layout == "ascii":
         body = data[start:]
@@ -80,6 +73,36 @@ def decode(data: bytes, path: Path) -> PointCloud:
                 f"{path}: its header says {vertices.count} points, but more follow; the file is damaged or truncated"
             )
     return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path))
+
+
+def row_layout(head: bytes, path: Path) -> RowLayout | None:
+    """Return how the vertices follow each other, by a file's beginning; None if they are not rows of one size."""
+    layout, elements, place, start = _whole_header(head, path)
+    *before, vertices = elements[: place + 1]
+    rows = [element for element in before if element.count]
+    if len(vertices.runs()) > 1 or any(len(element.runs()) > 1 for element in rows):
+        return None
+    if layout == "ascii" and (rows or elements[-1] is not vertices):
+        return None
+    sizes = (element.count * sum(entry.values.itemsize for entry in element.properties) for element in rows)
+    columns = {entry.name: place for place, entry in reversed(list(enumerate(vertices.properties)))}
+    dtype = np.dtype([(f"{place}", entry.values) for place, entry in enumerate(vertices.properties)])
+    return RowLayout(start + sum(sizes), dtype, columns, vertices.count, layout == "ascii")
+
+
+def _whole_header(data: bytes, path: Path) -> tuple[str, list[Element], int, int]:
+    """Return the layout, the elements, the place of the vertices among them, and the offset of the content."""
+    end = data.find(b"end_header", 0, MOST_HEADER)
+    start = data.find(b"\n", end) + 1
+    if end < 0 or start < 1:
+        raise InputError(f"{path}: its PLY header has no end; the file is truncated")
+    layout, elements = _header(data[:end].decode("latin-1"), path)
+    place = next((place for place, element in enumerate(elements) if element.name == "vertex"), None)
+    if place is None:
+        raise InputError(f"{path}: has no vertices; name a PLY of points")
+    if elements[place].count < 0:
+        raise sweep_error(path, elements[place].count)
+    return layout, elements, place, start
 
 
 def _header(text: str, path: Path) -> tuple[str, list[Element]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,6 +86,19 @@ class PointCloud:
     def __len__(self) -> int:
         """Number of points, unusable ones included."""
         return len(self.xyz)
+
+
+class RowLayout(NamedTuple):
+    """How the points of a file follow each other: rows of one type from an offset on, or lines of text.
+
+    columns  place of a field in the row by its name;  count: of the points, 0 if the file does not say.
+    """
+
+    start: int
+    dtype: np.dtype
+    columns: dict[str, int]
+    count: int
+    text: bool
 
 
 def sweep_error(source: object, points: int) -> InputError:

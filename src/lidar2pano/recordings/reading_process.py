@@ -14,8 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lidar2pano.child_process import Bound, ChildProcess
 from lidar2pano.errors import InputError
+from lidar2pano.formats.map_blocks import Block, NearBlocks
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.geometry.motion import SensorMotion
@@ -154,6 +157,13 @@ def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     with closing(_Open(path, FrameIterator, options)) as opened:
         while (decoded := opened.call("following")) is not None:
             yield decoded.frame(path)
+
+
+def near_blocks(path: Path, places: np.ndarray, reach_m: float) -> Iterator[Block]:
+    """Yield the points of a map within `reach_m` of any of the places (P, 3), a block at a time."""
+    with closing(_Open(path, NearBlocks, places, reach_m)) as opened:
+        while (block := opened.call("following")) is not None:
+            yield block
 
 
 class ConfinedImages:
