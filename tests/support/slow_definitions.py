@@ -228,7 +228,8 @@ def look_up_slowly(image: np.ndarray, view: View, ray: tuple[float, float, float
 def first_hits_slowly(surfels, rays) -> np.ndarray:
     """Range of each ray (B, F): of the nearest ellipse it meets, averaged with those right behind it.
 
-    Right behind: no farther than their own reach. The ray meets an ellipse where it meets its plane; an offset's parts along the half axes are 1 at the border.
+    Right behind: no farther than their own reach. The ray meets an ellipse where it meets its plane; an offset's parts
+    along the half axes are 1 at the border.
     """
     ranges = np.full((len(rays.elevation), rays.firings), np.inf)
     for beam in range(len(rays.elevation)):

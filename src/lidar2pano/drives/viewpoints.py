@@ -6,6 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
@@ -20,6 +21,7 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import SAMPLE, Interpretation, interpret
 from lidar2pano.formats.map_blocks import Block
 from lidar2pano.formats.plausibility import doubts_about_ground, find_gaps
+from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.remission import scale_remission
 from lidar2pano.formats.sensor_placement import best_ground
@@ -37,7 +39,6 @@ MARGIN_DEG = 2.0  # beyond the beams: surfels there reach in between them
 AT_ONCE = 8  # places in one reading of the map
 MOST_HELD = 1 << 20  # points added before they are thinned out again
 MOST_SWEEP = 1 << 20  # points; the densest LiDAR's sweep has 0.6 million, so that more are a map
-SWEEP_BYTES = MOST_SWEEP * 64  # a longer file has more points
 FEWEST = 500  # points in view; with fewer there is nothing to be seen
 FORM = "is not of the form X,Y,Z in metres, nor a file with the columns x, y, z and, if you like, heading and name"
 COLUMNS = ("x", "y", "z", "heading", "name")
@@ -194,13 +195,16 @@ def check_map(files: Sequence[Path]) -> None:
         raise InputError("--at: no map is named; name its files")
     if recording := next((file for file in files if recording_reader(file)), None):
         raise InputError(f"{recording}: is a recording, which --at does not read; join its scans to a map")
-    if len(files) > 1 or files[0].stat().st_size > SWEEP_BYTES:
+    if len(files) > 1:
         return
-    cloud = reading_process.read_cloud(files[0])
-    if len(cloud) > MOST_SWEEP:
-        return
+    parts = list[np.ndarray]()
+    with closing(reading_process.near_blocks(files[0], np.zeros((1, 3)), math.inf)) as blocks:
+        for block in blocks:
+            parts.append(block.xyz)
+            if sum(map(len, parts)) > MOST_SWEEP:
+                return
     try:
-        interpret(cloud)
+        interpret(PointCloud(xyz=np.concatenate(parts)))
     except InputError:
         return  # it is anything but a sweep
     raise InputError(

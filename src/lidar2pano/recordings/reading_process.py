@@ -159,7 +159,7 @@ def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
             yield decoded.frame(path)
 
 
-def near_blocks(path: Path, places: np.ndarray, reach_m: float) -> Iterator[Block]:
+def near_blocks(path: Path, places: np.ndarray, reach_m: float) -> Generator[Block]:
     """Yield the points of a map within `reach_m` of any of the places (P, 3), a block at a time."""
     with closing(_Open(path, NearBlocks, places, reach_m)) as opened:
         while (block := opened.call("following")) is not None:
