@@ -135,6 +135,13 @@ def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], b
     return list(files.values()), failed
 
 
+def translate_all(paths: Sequence[Path], options: Options, places: Sequence[Place], follow: bool) -> int:
+    """Translate scans, those of a growing folder, or a map seen from places; returns the exit code."""
+    if places:
+        return translate_places(paths, places, options)
+    return translate_followed(paths, options) if follow else translate_files(paths, options)
+
+
 def translate_files(paths: Iterable[Path], options: Options) -> int:
     """Translate the scans of `paths` and return the exit code: a bad scan is reported, the others go on.
 

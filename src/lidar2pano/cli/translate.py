@@ -67,13 +67,10 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli import batch
     from lidar2pano.drives.reading import Overrides, ReadingOptions, ReadOptions
 
-    reading = ReadingOptions(
-        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
-        overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
-        poses=steady,
-        strict=strict,
-        cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
-    )
+    selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
+    overrides = Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent)
+    chosen = opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None)
+    reading = ReadingOptions(selection=selection, overrides=overrides, poses=steady, strict=strict, cameras=chosen)
     places = opt.parse_places(at, heading, follow, reading)
     options = batch.checked_options(
         weights,
@@ -86,8 +83,4 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         reading=reading,
         common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )
-    if places:
-        code = batch.translate_places(scans, places, options)
-    else:
-        code = batch.translate_followed(scans, options) if follow else batch.translate_files(scans, options)
-    raise typer.Exit(batch.open_page(options.common.page, code))
+    raise typer.Exit(batch.open_page(options.common.page, batch.translate_all(scans, options, places, follow)))
