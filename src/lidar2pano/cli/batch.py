@@ -160,7 +160,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
 
 
 def translate_places(paths: Iterable[Path], places: Sequence[Place], options: Options) -> int:
-    """Translate what is seen from places of the map of `paths`, and return the exit code, as `translate_files`."""
+    """Translate the views from places in the map of `paths`, and return the exit code, as `translate_files`."""
     with spooled(paths) as sources:
         files, failed = gather_files(sources, options)
         if failed:

@@ -116,6 +116,7 @@ EngineOption = Annotated[
 AtOption = Annotated[
     str,
     typer.Option(
+        "--at",
         metavar="X,Y,Z|FILE",
         help="A place in a map, or a file of places: the scans are a map in one frame, seen from there.",
     ),
@@ -169,12 +170,12 @@ def collect_outputs(save: str, image_format: str, projection: str, ply: bool, an
     return {"save": parse_save(save, extra=True), **pictures, "ply": ply, "annotations": forms}
 
 
-def parse_places(at: str, heading: float | None, follow: bool, reading: ReadingOptions) -> list[Place]:
+def parse_places(text: str, heading: float | None, follow: bool, reading: ReadingOptions) -> list[Place]:
     """Return the places of --at, [] without it; InputError for options that have no meaning with it."""
     from lidar2pano.drives.viewpoints import parse_places
     from lidar2pano.formats.readers import ReadOptions
 
-    if not at:
+    if not text:
         if heading is not None:
             raise InputError(f"--heading {heading:g}: is the direction ahead at a place of a map; name it with --at")
         return []
@@ -184,7 +185,7 @@ def parse_places(at: str, heading: float | None, follow: bool, reading: ReadingO
         raise InputError("--at says where the sensor stands; leave out --forward and --sensor-height")
     if reading.cameras and (reading.cameras.named or reading.cameras.topics):
         raise InputError("--at: cameras see no map from another place; leave out --camera and --cameras")
-    return parse_places(at, heading or 0.0)
+    return parse_places(text, heading or 0.0)
 
 
 def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:

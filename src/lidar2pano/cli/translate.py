@@ -39,7 +39,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     save: opt.SaveOption = "rgb",
     as_json: opt.JsonOption = False,
     steady: opt.SteadyOption = False,
-    at: opt.AtOption = "",
+    viewpoint: opt.AtOption = "",
     heading: opt.HeadingOption = None,
     sensor_height: opt.HeightOption = None,
     forward: opt.ForwardOption = "",
@@ -71,7 +71,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     overrides = Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent)
     chosen = opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None)
     reading = ReadingOptions(selection=selection, overrides=overrides, poses=steady, strict=strict, cameras=chosen)
-    places = opt.parse_places(at, heading, follow, reading)
+    places = opt.parse_places(viewpoint, heading, follow, reading)
     options = batch.checked_options(
         weights,
         **opt.collect_choices(device, engine, look, quality, seed),

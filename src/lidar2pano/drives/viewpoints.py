@@ -33,12 +33,12 @@ from lidar2pano.scan import Scan
 from lidar2pano.simulate.sensor_models import SENSOR_MODELS, SensorModel
 from lidar2pano.views import FULL_TURN, sensor_view
 
-SENSOR = "hdl64e"  # where none is named: that of KITTI's car, which the weights know best
+SENSOR = "hdl64e"  # where none is named: KITTI's, best known to the weights
 CELL_STEPS = 2  # firings: points are thinned out to cells so wide, finer than the rows of all sensors but one
 MARGIN_DEG = 2.0  # beyond the beams: surfels there reach in between them
 AT_ONCE = 8  # places in one reading of the map
 MOST_HELD = 1 << 20  # points added before they are thinned out again
-MOST_SWEEP = 1 << 20  # points; the densest LiDAR's sweep has 0.6 million, so that more are a map
+MOST_SWEEP = 1 << 20  # points; the densest LiDAR's sweep has 0.6 million: more are a map
 FEWEST = 500  # points in view; with fewer there is nothing to be seen
 FORM = "is not of the form X,Y,Z in metres, nor a file with the columns x, y, z and, if you like, heading and name"
 COLUMNS = ("x", "y", "z", "heading", "name")
@@ -59,7 +59,7 @@ class Place:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse infinite numbers, and names that are none of a file (InputError)."""
+        """Refuse infinite numbers, and names of no file (InputError)."""
         if not all(map(math.isfinite, (*self.position_m, self.heading_deg))):
             raise InputError(f"--at {self}: a place needs finite numbers; write X,Y,Z in metres, headings in degrees")
         if self.name and not NAME.fullmatch(self.name):
@@ -79,7 +79,7 @@ class Place:
 
 
 def parse_places(text: str, heading_deg: float = 0.0) -> list[Place]:
-    """Return the place "X,Y,Z", or those of a file; heading_deg: of places that have none.
+    """Return the place "X,Y,Z", or those of a file; heading_deg: of places without one.
 
     The file has a place a line: x, y, z, then heading and name if wanted, or these columns in the order of a header.
     """
@@ -134,10 +134,10 @@ def _is_number(text: str) -> bool:
 def scans_at(
     paths: str | Path | Iterable[str | Path], places: Place | Sequence[Place], sensor: str = SENSOR
 ) -> Iterator[Scan]:
-    """Yield what a sensor of VIEWS sees of a map from each place, as scans in its own frame.
+    """Yield the scans of a map by a sensor of VIEWS at each place, in its own frame.
 
     paths  of the map, or of all its parts in one frame, metres, z up: files of any format, or folders of them. LAS,
-           LAZ, PLY, PCD and E57 are read in blocks, so that the memory does not grow with the map.
+           LAZ, PLY, PCD and E57 are read in blocks: the memory does not grow with the map.
     Raises InputError for a place outside the map or with no point in reach, an unreadable map, and a single sweep.
     """
     places = [places] if isinstance(places, Place) else list(places)
@@ -165,16 +165,16 @@ def place_readings(
     for start in range(0, len(places), AT_ONCE):
         surroundings = [Surroundings(place, model) for place in places[start : start + AT_ONCE]]
         extent = read_surroundings(files, surroundings)
-        for number, around in enumerate(surroundings, start):
+        for number, surrounding in enumerate(surroundings, start):
             source = ScanSource(
                 path=files[0],
-                title=f"{files[0]} at {around.place}",
+                title=f"{files[0]} at {surrounding.place}",
                 stem=numbered[number],
                 cloud=_no_cloud,
                 stream=(files[0], "places") if options.poses else None,
                 number=number,
             )
-            yield _reading(source, around, extent, options)
+            yield _reading(source, surrounding, extent, options)
 
 
 def sensor_model(name: str) -> SensorModel:
@@ -190,7 +190,7 @@ def sensor_model(name: str) -> SensorModel:
 
 
 def check_map(files: Sequence[Path]) -> None:
-    """Raise InputError for recordings, and for a single sweep: what it did not see from its place is seen from none."""
+    """Raise InputError for recordings, and for a single sweep, with the shadows of its own place."""
     if not files:
         raise InputError("--at: no map is named; name its files")
     if recording := next((file for file in files if recording_reader(file)), None):
@@ -249,7 +249,7 @@ class Surroundings:
         self._added = 0
 
     def add(self, block: Block) -> None:
-        """Add the points of a block that the sensor may see."""
+        """Add the points of a block in view of the sensor."""
         xyz = (block.xyz - self._T[:3, 3]) @ self._T[:3, :3]
         squared, level = np.einsum("ij,ij->i", xyz, xyz), np.hypot(xyz[:, 0], xyz[:, 1])
         near, far = self.model.min_range, self.model.max_range
@@ -277,48 +277,48 @@ class Surroundings:
 def read_surroundings(files: Sequence[Path], surroundings: Sequence[Surroundings]) -> Extent:
     """Read a map once for some places; returns its extent."""
     extent = Extent()
-    positions = np.array([around.place.position_m for around in surroundings])
+    positions = np.array([surrounding.place.position_m for surrounding in surroundings])
     with working("reading the map") as advance:
         for file in files:
             for block in reading_process.near_blocks(file, positions, surroundings[0].model.max_range):
                 extent.add(block)
-                for around in surroundings:
-                    around.add(block)
+                for surrounding in surroundings:
+                    surrounding.add(block)
                 advance()
     return extent
 
 
-def see(around: Surroundings, remission: np.ndarray) -> Scan:
-    """Return what the sensor sees of its surroundings, beam by beam; remission: (N,) of their points."""
-    xyz = around.points()[0].astype(np.float64)
-    surfels = fit_surfels(xyz, remission, around.cell * np.linalg.norm(xyz, axis=1))
-    range_m, value = first_hits(surfels, around.rays)
-    beam, firing = np.nonzero((range_m >= around.model.min_range) & (range_m <= around.model.max_range))
-    hits = around.rays.directions(beam, firing) * range_m[beam, firing, None]
+def see(surrounding: Surroundings, remission: np.ndarray) -> Scan:
+    """Return the scan of the surroundings, beam by beam; remission: (N,) of their points."""
+    xyz = surrounding.points()[0].astype(np.float64)
+    surfels = fit_surfels(xyz, remission, surrounding.cell * np.linalg.norm(xyz, axis=1))
+    range_m, value = first_hits(surfels, surrounding.rays)
+    beam, firing = np.nonzero((range_m >= surrounding.model.min_range) & (range_m <= surrounding.model.max_range))
+    hits = surrounding.rays.directions(beam, firing) * range_m[beam, firing, None]
     return Scan(xyz=hits.astype(np.float32), remission=np.clip(value[beam, firing], 0, 1), ring=beam.astype(np.int64))
 
 
-def _reading(source: ScanSource, around: Surroundings, extent: Extent, options: ReadingOptions) -> Reading:
-    """Return what is seen from a place as a reading; an unusable place is its error."""
-    reading = Reading(source=source, pose=around.place.T_map_sensor if options.poses else None)
+def _reading(source: ScanSource, surrounding: Surroundings, extent: Extent, options: ReadingOptions) -> Reading:
+    """Return the reading of a place; an unusable place is its error."""
+    reading = Reading(source=source, pose=surrounding.place.T_map_sensor if options.poses else None)
     try:
         with reading.timer("read"):
-            scan, interpretation = _seen(around, extent, options)
+            scan, interpretation = _seen(surrounding, extent, options)
     except InputError as error:
         return replace(reading, error=InputError(f"{source.title}: {error}"))
     return replace(reading, scan=replace(scan, name=source.title), interpretation=interpretation)
 
 
-def _seen(around: Surroundings, extent: Extent, options: ReadingOptions) -> tuple[Scan, Interpretation]:
-    position, model, overrides = np.array(around.place.position_m), around.model, options.overrides
+def _seen(surrounding: Surroundings, extent: Extent, options: ReadingOptions) -> tuple[Scan, Interpretation]:
+    position, model, overrides = np.array(surrounding.place.position_m), surrounding.model, options.overrides
     if not ((position[:2] >= extent.low[:2]) & (position[:2] <= extent.high[:2])).all():
         raise InputError(f"the place is outside of the map ({extent}); name one within")
-    xyz, intensity = around.points()
+    xyz, intensity = surrounding.points()
     if len(xyz) < FEWEST:
         reach = f"{model.min_range:g} to {model.max_range:g} m away"
         raise InputError(f"only {len(xyz)} points of the map are in view ({reach}); the map has {extent}")
     remission = scale_remission(intensity, np.ones(len(xyz), bool), overrides.remission, None)
-    scan = see(around, remission.values)
+    scan = see(surrounding, remission.values)
     gaps_deg = find_gaps(scan.xyz, overrides.invent) if len(scan) else ()
     sample = scan.xyz[:: max(1, len(scan) // SAMPLE)]
     ground = best_ground(sample.astype(np.float64))
@@ -333,7 +333,7 @@ def _seen(around: Surroundings, extent: Extent, options: ReadingOptions) -> tupl
         points=len(scan),
         no_returns=0,
         viewpoint_by="--at",
-        viewpoint_m=around.place.position_m,
+        viewpoint_m=surrounding.place.position_m,
         forward_by="--heading",
         ground_m=round(-ground.height_m, 2) if ground else None,
         remission=remission.scale.name,

@@ -38,8 +38,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
     Raises InputError if the file is damaged, or pye57 is not installed.
     """
-    with io.BytesIO(data) as file:
-        _check_xml(file, path)
+    _check_xml(io.BytesIO(data), path)
     pye57 = _library(path)
     try:
         with tempfile.NamedTemporaryFile(suffix=".e57") as copy:  # it reads files by name alone

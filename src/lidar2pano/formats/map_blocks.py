@@ -1,4 +1,4 @@
-"""Points of files of any length, a block at a time: maps, which need not fit into the memory."""
+"""Points of files of any length, a block at a time: maps need not fit into the memory."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Columns = Mapping[str, np.ndarray]
 
 
 class Block(NamedTuple):
-    """Some points of a file, those near to some place, and the extent of all that were read for it.
+    """Some points of a file, those near to some place, and the extent of all points read for it.
 
     xyz        (N, 3) float64, as the file has them;  intensity: (N,) as stored, None if the file has none.
-    low, high  (3,) float64 the bounds of the points that were read;  points: how many they are.
+    low, high  (3,) float64 the bounds of the points read;  points: how many they are.
     """
 
     xyz: np.ndarray
@@ -75,7 +75,7 @@ class NearBlocks:
         self._blocks.close()
 
     def _near(self, xyz: np.ndarray) -> np.ndarray:
-        """Return the indices of the points that are near to a place; those without one are not."""
+        """Return the indices of the points near to a place; those without coordinates are not."""
         near = np.zeros(len(xyz), bool)
         with np.errstate(invalid="ignore", over="ignore"):
             for place in self._places:
@@ -142,7 +142,7 @@ def _rows(file: BinaryIO, layout: RowLayout, length: int, path: Path) -> Iterato
 
 
 def _cloud(columns: Columns, path: Path) -> PointCloud:
-    """Return a block's points, without what a map has no use for."""
+    """Return a block's points, without times, rings and further intensities."""
     unused = {key for names, words in FIELDS for key in find_named(columns, names, words)}
     unused -= set(find_named(columns, *FIELDS[0])[:1])  # of several the first, in all blocks
     return cloud_of_columns(

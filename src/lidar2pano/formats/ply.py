@@ -78,8 +78,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
 def row_layout(head: bytes, path: Path) -> RowLayout | None:
     """Return how the vertices follow each other, by a file's beginning; None if they are not rows of one size."""
     layout, elements, place, start = _whole_header(head, path)
-    *before, vertices = elements[: place + 1]
-    rows = [element for element in before if element.count]
+    *preceding, vertices = elements[: place + 1]
+    rows = [element for element in preceding if element.count]
     if len(vertices.runs()) > 1 or any(len(element.runs()) > 1 for element in rows):
         return None
     if layout == "ascii" and (rows or elements[-1] is not vertices):

@@ -1,7 +1,7 @@
-"""Surfels: points without order as small flat ellipses, and the first ones that rays meet: hidden points drop out.
+"""Surfels: points without order as small flat ellipses, and the first ones met by rays: hidden points drop out.
 
 A surfel lies in the plane of its point's nearest neighbours, by their covariance (Pauly, Gross, Kobbelt: Efficient
-simplification of point-sampled surfaces, 2002, section 2), and is as large as they lie apart. A ray's range is that of
+simplification of point-sampled surfaces, 2002, section 2), and is as large as they lie apart. A ray ends at
 the nearest surfel it meets, averaged with those right behind, the nearer to the ray the more: the two passes,
 visibility and blending, of surface splatting (Zwicker, Pfister, van Baar, Gross: Surface splatting, 2001; Botsch,
 Hornung, Zwicker, Kobbelt: High-quality surface splatting on today's GPUs, 2005, section 3).
@@ -96,10 +96,10 @@ def first_of_each(cells: np.ndarray) -> np.ndarray:
 
 
 def find_spacing(xyz: np.ndarray) -> float:
-    """Return the distance of points (N, 3) on their surfaces, metres: at least so far that they are no mere lines.
+    """Return the distance of points (N, 3) on their surfaces, metres: far enough not to be mere lines.
 
     Scanners on vehicles leave lines of points, closer along them than across. The distance is doubled until half of
-    the neighbourhoods are wider than LINE. It is that of points which fall anywhere with the density of the nearest 16.
+    the neighbourhoods are wider than LINE. The density of the nearest 16 points gives it.
     """
     chosen, spacing_m = xyz, 0.0
     for _ in range(DOUBLINGS):
@@ -119,7 +119,7 @@ def fit_surfels(xyz: np.ndarray, values: np.ndarray, cell_m: np.ndarray) -> Surf
     """Return the surfels of points (N, 3) float64 with values (N,), metres from the viewpoint; without lone points.
 
     cell_m  (N,) width of the cells in which the points were thinned out; they are to their spacing where it is less.
-    A surfel is as wide as this at least. Points in a line, of poles and wires, get one along it that faces the
+    A surfel is as wide as this at least. Points in a line, of poles and wires, get one along it, facing the
     viewpoint.
     """
     spacing_m = find_spacing(xyz)
@@ -128,9 +128,9 @@ def fit_surfels(xyz: np.ndarray, values: np.ndarray, cell_m: np.ndarray) -> Surf
     xyz, values, cell_m = xyz[chosen], values[chosen], np.maximum(cell_m[chosen], spacing_m)
     tree, parts = _tree(xyz), list[Surfels]()
     chunks = [slice(start, start + CHUNK) for start in range(0, len(xyz), CHUNK)]
-    found = [_nearest(tree, xyz[chunk]) for chunk in chunks]
-    reach = np.concatenate([distance[:, -1] for distance, _ in found])
-    for chunk, (distance, near) in zip(chunks, found, strict=True):
+    queries = [_nearest(tree, xyz[chunk]) for chunk in chunks]
+    reach = np.concatenate([distance[:, -1] for distance, _ in queries])
+    for chunk, (distance, near) in zip(chunks, queries, strict=True):
         joined = distance[:, -1] <= OUTLIER * np.median(reach[near], axis=1)
         members = near[joined]
         parts.append(_ellipses(xyz[members], values[members].mean(axis=1), cell_m[chunk][joined] / 2))
@@ -206,7 +206,7 @@ def first_hits(surfels: Surfels, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _hits(surfels: Surfels, rays: Rays) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield rays, the surfels that they meet, ranges and weights; the surfels in the order of their number of rays."""
+    """Yield rays, the surfels they meet, ranges and weights; the surfels in the order of their number of rays."""
     for owner, row, column in _candidates(surfels, rays):
         direction = rays.directions(row, column)
         toward = np.einsum("ij,ij->i", surfels.normal[owner], direction)
