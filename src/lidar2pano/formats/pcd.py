@@ -48,8 +48,8 @@ class Header:
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if header and content do not fit each other."""
     header, doubts = read_header(data, path), list[str]()
-    if max(header.points, *header.claims, 0) > MOST_POINTS:
-        raise sweep_error(path, max(header.points, *header.claims))
+    if (most := max((header.points, *header.claims))) > MOST_POINTS:
+        raise sweep_error(path, most)
     if header.layout == "ascii":
         columns, doubts = _ascii(data, header, path)
     elif header.layout == "binary":
