@@ -81,8 +81,8 @@ def test_flags_and_lists_of_translate(tmp_path, monkeypatch, random_weights, cap
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("every: 2\nevrey: 3", "has no 'evrey'; did you mean 'every'?; there is annotations, calib, camera"),
-        ("qqqq: 3", "has no 'qqqq'; there is annotations, calib, camera"),
+        ("every: 2\nevrey: 3", "has no 'evrey'; did you mean 'every'?; there is annotations, at, calib, camera"),
+        ("qqqq: 3", "has no 'qqqq'; there is annotations, at, calib, camera"),
         ("config: c.yaml", "has no 'config'"),
         ("- every", "holds no options"),
         ("every", "holds no options"),

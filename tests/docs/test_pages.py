@@ -15,6 +15,7 @@ from lidar2pano import demo
 from lidar2pano.cli import app
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
+from map_street import street_points, write_las
 from workshop import CALIB
 
 
@@ -61,6 +62,7 @@ def test_the_python_guide_runs(tmp_path, monkeypatch, random_weights):
     for name in ("scan.bin", "drive/000000.bin"):
         shutil.copy(demo.street(), tmp_path / name)
     (tmp_path / "calib.txt").write_text(CALIB)
+    write_las(tmp_path / "map.laz", street_points(0.2)[0])
     monkeypatch.chdir(tmp_path)
     code = blocks(PAGES["docs/guides/python.md"].replace('"kitti-mini"', repr(str(random_weights))), "python")
     assert len(code) > 3

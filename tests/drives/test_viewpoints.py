@@ -18,7 +18,7 @@ from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.ply import write_ply
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.scan import Scan
-from map_street import street_points, true_ranges
+from map_street import street_points, true_ranges, write_las
 from miniature import street
 
 EYE, SPACING_M = np.array([-4.0, 2.0, 1.8]), 0.2
@@ -84,15 +84,6 @@ def test_remission_is_that_of_the_surface_in_front(seen):
     assert range_m.max() < 100
 
 
-def las(path: Path, xyz: np.ndarray) -> None:
-    laspy = pytest.importorskip("laspy", reason="the extra 'formats'")
-    header = laspy.LasHeader(point_format=1, version="1.2")
-    header.offsets, header.scales = xyz.min(0), [1e-3] * 3
-    data = laspy.LasData(header)
-    data.x, data.y, data.z = xyz.T
-    data.write(str(path))
-
-
 def e57(path: Path, xyz: np.ndarray) -> None:
     """Two scans, each half of the points in the frame of its own scanner."""
     pye57 = pytest.importorskip("pye57", reason="the extra 'formats', where pye57 installs")
@@ -122,8 +113,8 @@ def pcd(form: str, path: Path, xyz: np.ndarray) -> None:
 
 
 FORMS = {
-    "a.las": las,
-    "a.laz": las,
+    "a.las": write_las,
+    "a.laz": write_las,
     "a.e57": e57,
     "text.ply": text_ply,
     "binary.pcd": lambda path, xyz: pcd("binary", path, xyz),

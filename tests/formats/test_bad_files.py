@@ -115,7 +115,7 @@ def bombs() -> dict[str, tuple[bytes, str]]:
         "bzip2.bin.bz2": (bz2.compress(bytes(1 << 24)) * 17, "unpacks to more than"),
         "xz.bin.xz": (lzma.compress(bytes(1 << 24)) * 17, "unpacks to more than"),
         "damaged.bin.bz2": (b"BZh91AY&SY" + bytes(90), "it is damaged or cut off"),
-        "dictionary.bin.xz": (XZ_OF_GIGABYTES, "Memory usage limit was exceeded"),
+        "dictionary.bin.xz": (XZ_OF_GIGABYTES, "Memory usage limit exceeded"),
         "packed.bin.lz4": (b"\x04\x22\x4d\x18" + bytes(90), "is packed with lz4, which is not read; unpack it"),
         "empty.bin": (b"", "is empty"),
         "empty.pcd": (b"", "is empty"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 # corner, and two sides: the road; facades left and right, 10 m high; a wall behind the left one and its yard; a lorry
@@ -45,3 +47,14 @@ def true_ranges(eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
             inside = [(offset @ side / (side @ side) >= 0) & (offset @ side <= side @ side) for side in (first, second)]
         nearest = np.where((range_m > 0) & inside[0] & inside[1], np.minimum(nearest, range_m), nearest)
     return nearest
+
+
+def write_las(path: Path, xyz: np.ndarray) -> None:
+    """Write points (N, 3) as LAS, or LAZ, to a millimetre."""
+    import laspy
+
+    header = laspy.LasHeader(point_format=1, version="1.2")
+    header.offsets, header.scales = xyz.min(0), [1e-3] * 3
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = xyz.T
+    data.write(str(path))

@@ -11,6 +11,7 @@ from PIL import Image
 from lidar2pano import demo
 from lidar2pano.models import build
 from lidar2pano.scan import Scan
+from map_street import street_points, write_las
 from miniature_recordings import START_NS, STEP_NS, odometry, points, write
 from sample_files import pcd, ply
 
@@ -55,6 +56,11 @@ def write_workshop(folder: Path) -> Path:
     (folder / "other.ply").write_bytes(ply(xyz, remission))
     np.savez(folder / "merged.npz", points=table)
     scan = Scan(xyz=xyz.copy(), remission=remission.copy())
+    map_xyz, _ = street_points(0.2)
+    write_las(folder / "map.laz", map_xyz)
+    (folder / "places.csv").write_text("x,y,z\n12.5,-3,1.8\n11.5,-3,1.8\n")
+    (folder / "tiles").mkdir()
+    write_las(folder / "tiles" / "utm.laz", map_xyz + (512340.2 - 12.5, 5403107 + 3, 412.6 - 1.8))
     for form in ("bag", "mcap", "db3"):
         write(folder, form, _drive(scan))
     write(folder / "drives", "mcap", _drive(scan), "recorded")

@@ -110,7 +110,7 @@ def _check_xml(file: BinaryIO, path: Path) -> None:
     pages = range(0, len(data), PAGE_BYTES)
     xml = b"".join(data[page : page + CHECKED_BYTES] for page in pages)[skipped : skipped + length]
     if DECLARATION.match(xml) is None or FETCHING.search(xml) or length > MOST_XML_BYTES:
-        raise InputError(f"{path}: is an E57 whose XML is damaged or refers to other documents; {EXPORT}")
+        raise InputError(f"{path}: is an E57 whose XML cannot be read or refers to other documents; {EXPORT}")
 
 
 def _columns(raw: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -160,7 +160,7 @@ def _unpack(path: Path, file: io.FileIO, head: bytes, target: BinaryIO, most: in
         while (left := most - target.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
             target.write(chunk)
     except Exception as error:  # each library has errors of its own
-        if isinstance(error, OSError):
+        if isinstance(error, OSError) and error.errno:  # bzip2's own errors are of this kind, without a number
             raise
         raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged or cut off, fetch it again") from error
 
