@@ -25,7 +25,7 @@ def wall(distance_m: float, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def test_rays_meet_what_the_slow_definition_says():
     generator = np.random.default_rng(3)
-    xyz = generator.normal(0, 3, (160, 3)) * (1, 1, 0.3)
+    xyz = generator.normal(0, 3, (160, 3)) * (1, 1, 0.3) + (7, 0, 0)
     surfels = surfels_of(xyz)
     ranges, _ = first_hits(surfels, RAYS)
     slow = first_hits_slowly(surfels, RAYS)
@@ -64,12 +64,13 @@ def test_the_ground_has_its_range_at_the_lowest_angle():
 
 
 def test_a_pole_stays_as_narrow_as_its_points():
+    """Of 10 cm, at points 5 cm apart: its outline is ragged, no beam misses it, and none finds it twice as wide."""
     turn, height = np.random.default_rng(2).uniform((0, -1.5), (2 * np.pi, 3), (900, 2)).T
     pole = np.stack([10 + 0.05 * np.cos(turn), 0.05 * np.sin(turn), height], axis=1)
-    rays = Rays(elevation=np.radians([5.0, 0.0]), azimuth=np.zeros(2), firings=7200)
+    rays = Rays(elevation=np.radians(np.linspace(8, -6, 15)), azimuth=np.zeros(15), firings=7200)
     hit = np.isfinite(first_hits(surfels_of(pole[thin_by_range(pole, 0.006)]), rays)[0])
     width_m = hit.sum(1) * rays.step * 10
-    assert (width_m > 0.05).all() and (width_m < 0.2).all(), width_m
+    assert width_m.all() and (width_m < 0.2).all() and 0.05 < width_m.mean() < 0.11, width_m
 
 
 def test_a_lone_point_is_no_surface():
