@@ -97,7 +97,7 @@ def test_each_fold_is_scored_by_weights_that_have_not_seen_it(tmp_path, random_w
                 part.add_(torch.randn(part.shape) * (seed + 0.1) * 0.1)
         save(path, network, card)
     folds = [f"--folds={name}={tmp_path / name}:val" for name in ("hills", "harbour")]
-    systems = [str(random_weights), f"{tmp_path}/without-{{fold}}"]
+    systems = [str(random_weights), f"{tmp_path}/without-{{fold}}", f"{tmp_path}/without-hills"]  # in one fold the same
     outputs = ["--json", str(tmp_path / "o.json"), "--csv", str(tmp_path / "o.csv")]
     command = ["evaluate", *systems, *folds, "--metrics", "points", "--device", "cpu", *outputs]
     assert main(command) == 0
@@ -120,6 +120,8 @@ def test_each_fold_is_scored_by_weights_that_have_not_seen_it(tmp_path, random_w
     assert by_fold["hills"] != by_fold["harbour"]
     row = next(one for one in written["systems"][1]["scores"] if one["name"] == "points miou")
     assert row["values"] == [by_fold["hills"], by_fold["harbour"]]
+    fixed = next(one for one in written["systems"][2]["scores"] if one["name"] == "points miou")
+    assert fixed["values"][0] == by_fold["hills"] and fixed["values"][1] != by_fold["harbour"]
     assert row["mean"]["mean"] == pytest.approx(sum(by_fold.values()) / 2)  # not weighed by frames
     with (tmp_path / "o.csv").open(encoding="utf-8", newline="") as file:
         assert {line["fold"] for line in csv.DictReader(file)} == {"hills", "harbour"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,14 +90,14 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
-    from lidar2pano.evaluate import MetricConfig
+    from lidar2pano.evaluate import MetricConfig, system
     from lidar2pano.evaluate.folds import Fold
     from lidar2pano.hardware import keep_buffers
 
     check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
-    build = partial(build_systems, device=device, sensor=sensor, engine=engine)
+    build = cache(partial(system, device=device, sensor=sensor, engine=engine))
     if folds:
         if data or worst or pairs or leave_out:
             raise InputError("--folds compares scores over places; leave out --data, --worst, --pairs and --leave-out")
@@ -107,14 +107,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     elif leave_out:
         leave_out_cameras(weights, data, split, leave_out, out, as_json, device, engine)
     else:
-        score_split(build(weights), Fold(split, data, split), config, as_json, as_csv, out, worst, pairs)
-
-
-def build_systems(names: Iterable[str], device: str, sensor: str, engine: str) -> list[System]:
-    """Build the systems of names, each once."""
-    from lidar2pano.evaluate import system
-
-    return [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(names)]
+        score_split(
+            [build(name) for name in dict.fromkeys(weights)],
+            Fold(split, data, split),
+            config,
+            as_json,
+            as_csv,
+            out,
+            worst,
+            pairs,
+        )
 
 
 def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
@@ -128,16 +130,11 @@ def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
     pairs: Path | None,
 ) -> None:
     """Score one split, write the requested files, and print a table."""
-    from lidar2pano.cli.console import bar
-    from lidar2pano.data.layouts import frames
-    from lidar2pano.evaluate import report, score
+    from lidar2pano.evaluate import report
     from lidar2pano.evaluate.pictures import Preferences
 
-    scored, name, split = frames(place.root, place.split), place.root.resolve().name, place.split
     preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
-    with bar(len(scored), f"evaluating {split}") as advance:
-        after_each = noted(preferences, advance)
-        evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=after_each)
+    evaluation = score_place(systems, place, config, worst, preferences)
     summary = report.as_dict(evaluation)
     write_files(summary, as_json, as_csv)
     if worst:
@@ -151,29 +148,24 @@ def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
 def score_folds(
     weights: Sequence[str],
     texts: Sequence[str],
-    build: Callable[[Iterable[str]], list[System]],
+    build: Callable[[str], System],
     config: MetricConfig,
     as_json: Path | None,
     as_csv: Path | None,
 ) -> None:
     """Score every fold, write the requested files, and print a table of means over folds."""
-    from lidar2pano.cli.console import bar
     from lidar2pano.cli.options import write_json
-    from lidar2pano.data.layouts import frames
-    from lidar2pano.evaluate import report, score
+    from lidar2pano.evaluate import report
     from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table, weights_without
 
     names = list(dict.fromkeys(weights))
     folded: dict[str, dict[str, dict[str, float]]] = {name: {} for name in names}
     rows: list[dict[str, object]] = []
+    scored: list[System] = []
     for fold in parse_folds(texts):
-        scored = frames(fold.root, fold.split)
-        systems = build(weights_without(name, fold) for name in names)
-        with bar(len(scored), f"evaluating {fold.name}") as advance:
-            after_each = noted(None, advance)
-            place = fold.root.resolve().name
-            evaluation = score(systems, scored, data=place, split=fold.split, config=config, after_each=after_each)
-        summary = report.as_dict(evaluation)
+        systems = [build(weights_without(name, fold)) for name in names]
+        summary = report.as_dict(score_place(systems, fold, config))
+        scored += systems
         rows += [{"fold": fold.name, **row} for row in report.records(summary)]
         for name, result in zip(names, summary["results"], strict=True):
             folded[name][fold.name] = scores_of(result)
@@ -182,8 +174,26 @@ def score_folds(
         write_json(as_json, comparison, "--json")
     if as_csv:
         write_csv(as_csv, rows, "--csv")
-    note_systems(systems)
+    note_systems(scored)
     print(table(comparison))
+
+
+def score_place(
+    systems: Sequence[System],
+    place: Fold,
+    config: MetricConfig,
+    worst: int = 0,
+    preferences: Preferences | None = None,
+) -> Evaluation:
+    """Score systems on all frames of a split, with a bar."""
+    from lidar2pano.cli.console import bar
+    from lidar2pano.data.layouts import frames
+    from lidar2pano.evaluate import score
+
+    scored, data = frames(place.root, place.split), place.root.resolve().name
+    with bar(len(scored), f"evaluating {place.name}") as advance:
+        after_each = noted(preferences, advance)
+        return score(systems, scored, data=data, split=place.split, config=config, worst=worst, after_each=after_each)
 
 
 def leave_out_cameras(
