@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import sample_files as made
+from e57_pages import content, paged
 from lidar2pano.errors import InputError
 from lidar2pano.formats.e57 import _columns, decode
 from lidar2pano.formats.readers import interpreted
@@ -48,26 +49,15 @@ def test_one_that_cannot_be_read_is_one_line(tmp_path, share):
     assert "\n" not in str(caught.value)
 
 
-def crc32c(data: bytes) -> int:
-    value = 0xFFFFFFFF
-    for byte in data:
-        value ^= byte
-        for _ in range(8):
-            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
-    return value ^ 0xFFFFFFFF
-
-
 def with_xml(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
     """An E57 whose XML, its last section, is another; with right lengths and checksums."""
-    logical = bytearray(b"".join(data[page : page + 1020] for page in range(0, len(data), 1024)))
+    logical = bytearray(content(data))
     offset, length = struct.unpack_from("<QQ", data, 24)
     start = offset // 1024 * 1020 + offset % 1024
     xml = change(bytes(logical[start : start + length]))
     logical[start:] = xml
-    struct.pack_into("<Q", logical, 16, -(-len(logical) // 1020) * 1024)
     struct.pack_into("<Q", logical, 32, len(xml))
-    parts = [bytes(logical[page : page + 1020]).ljust(1020, b"\0") for page in range(0, len(logical), 1020)]
-    return b"".join(part + struct.pack(">I", crc32c(part)) for part in parts)
+    return paged(bytes(logical))
 
 
 SCHEMA = b' xmlns:i="http://www.w3.org/2001/XMLSchema-instance" i:schemaLocation="http://www.astm.org/COMMIT/E57'
