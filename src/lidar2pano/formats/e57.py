@@ -15,7 +15,7 @@ import numpy as np
 from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
+from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MAGIC = b"ASTM-E57"
 HEADER = struct.Struct("<QQ")  # at XML_PLACE: the XML's offset in the file, its length without checksums
@@ -26,7 +26,6 @@ DECLARATION = re.compile(
     rb"""\s*<\?xml\s+version=["']1\.[01]["'](\s+encoding=["'](?i:utf-8)["'])?(\s+standalone=["']\w+["'])?\s*\?>"""
 )
 FETCHING = re.compile(rb"<!DOCTYPE|schemaLocation", re.IGNORECASE)
-BLOCK_POINTS = 1 << 16
 FORMS = ("cartesian", "spherical")
 EXPORT = "export its points as PCD, PLY or LAS, e.g. with CloudCompare"
 CARTESIAN, SPHERICAL = ("cartesianX", "cartesianY", "cartesianZ"), ("Range", "Azimuth", "Elevation")

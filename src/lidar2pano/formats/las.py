@@ -14,9 +14,8 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns
 
-BLOCK_POINTS = 1 << 16
 HEADER_BYTES, LAZ_FLAG = 247, 104  # of version 1.4; the byte of the point format, whose highest bit says "packed"
 RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without its content
 

@@ -16,10 +16,9 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import delimited_text, e57, las, pcd, ply
 from lidar2pano.formats.field_names import find_named
 from lidar2pano.formats.file_contents import is_packed
-from lidar2pano.formats.point_cloud import FIELDS, PointCloud, RowLayout, cloud_of_columns
+from lidar2pano.formats.point_cloud import BLOCK_POINTS, FIELDS, PointCloud, RowLayout, cloud_of_columns
 from lidar2pano.formats.readers import ReadOptions, open_path
 
-BLOCK_POINTS = 1 << 16
 HEAD_BYTES = 1 << 16  # the longest header of a PLY or PCD
 READ_POINTS = 1 << 21  # in one block at most, kept or not
 KEPT_POINTS = 1 << 19  # in one block about

@@ -25,6 +25,7 @@ from lidar2pano.formats.field_names import (
 )
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
+BLOCK_POINTS = 1 << 16  # read at a time of files of any length
 FIELDS = (
     (INTENSITY, INTENSITY_WORDS),
     (RING, RING_WORDS),
