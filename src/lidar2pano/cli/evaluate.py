@@ -107,16 +107,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     elif leave_out:
         leave_out_cameras(weights, data, split, leave_out, out, as_json, device, engine)
     else:
-        score_split(
-            [build(name) for name in dict.fromkeys(weights)],
-            Fold(split, data, split),
-            config,
-            as_json,
-            as_csv,
-            out,
-            worst,
-            pairs,
-        )
+        systems = [build(name) for name in dict.fromkeys(weights)]
+        score_split(systems, Fold(split, data, split), config, as_json, as_csv, out, worst, pairs)
 
 
 def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
