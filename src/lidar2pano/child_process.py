@@ -68,6 +68,9 @@ def _stored_bytes(status: os.stat_result) -> int:
     return min(status.st_size, 512 * getattr(status, "st_blocks", sys.maxsize))
 
 
+STARTED: weakref.WeakSet[ChildProcess] = weakref.WeakSet()
+
+
 class ChildProcess:
     """A process that calls functions, one at a time; it starts with the first call, and after one that ended it.
 
@@ -80,7 +83,8 @@ class ChildProcess:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
-        self._sweep: weakref.finalize | None = None  # of its temporary files, which outlive a child that is ended
+        self._sweep: weakref.finalize | None = None  # ends the process and removes its temporary files
+        STARTED.add(self)
 
     def call(self, bound: Bound, title: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
         """Return function(*arguments), called in the child; both are named in modules and can be pickled.
@@ -140,7 +144,8 @@ class ChildProcess:
         folders: dict[str, str] = {}
         with contextlib.suppress(OSError):
             folders = {"TMPDIR": tempfile.mkdtemp(prefix="lidar2pano-")}
-            self._sweep = weakref.finalize(self, shutil.rmtree, folders["TMPDIR"], ignore_errors=True)
+        started: list[subprocess.Popen[bytes]] = []
+        self._sweep = weakref.finalize(self, _sweep, started, folders.get("TMPDIR"))
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno()), str(int(self._keeps))],
@@ -150,6 +155,7 @@ class ChildProcess:
                 stderr=subprocess.DEVNULL,
                 env=os.environ | threads | folders | {"PYTHONPATH": paths},
             )
+        started.append(self._process)
         self._socket = ours
         ours.settimeout(START_S)
         receive(ours, BASE_BYTES, AnswerUnpickler)  # it is ready
@@ -157,9 +163,6 @@ class ChildProcess:
     def _end(self) -> None:
         if self._socket is not None:
             self._socket.close()
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
         if self._sweep is not None:
             self._sweep()
         self._process = self._socket = self._sweep = None
@@ -168,6 +171,22 @@ class ChildProcess:
         """End the process with its object."""
         with contextlib.suppress(Exception):
             self._end()
+
+
+def _sweep(started: Sequence[subprocess.Popen[bytes]], folder: str | None) -> None:
+    """End a process, and remove its temporary files, which would outlive it."""
+    for process in started:
+        process.kill()
+        process.wait()
+    if folder:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def end_children() -> None:
+    """End the processes of all objects at once, whoever waits for them."""
+    for child in list(STARTED):
+        if child._sweep is not None:
+            child._sweep()
 
 
 def _folder() -> str:

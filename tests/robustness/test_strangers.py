@@ -484,6 +484,50 @@ def test_sigterm_ends_a_command_whatever_a_thread_waits_for(tmp_path, words):
     assert process.returncode == 143 and "terminated" in error and time.monotonic() - begin < 20
 
 
+ENDED_SLOWLY = """
+import atexit, sys, time
+from lidar2pano.child_process import Bound, ChildProcess
+from lidar2pano.cli import main
+
+app = sys.modules["lidar2pano.cli.app"]
+child = ChildProcess()  # as a library's own objects: in use until the interpreter ends
+child.call(Bound(bytes=1 << 28, seconds=5.0), "a", len, ())
+where, folder = child._process.pid, child._sweep.peek()[2][-1]
+
+def wait():
+    print(where, folder, flush=True)
+    time.sleep(99)
+
+class Slow:
+    def __del__(self, sleep=time.sleep):
+        sleep(60)
+
+if "exit" in sys.argv:
+    atexit.register(time.sleep, 60)
+sys.modules["__main__"].slow = Slow()
+sys.argv[1:] = ["--version"]
+app.make_program = lambda: type("Command", (), {"make_context": lambda *_: wait()})()
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("words", [[], ["exit"]])
+def test_sigterm_ends_a_command_whose_libraries_take_long_to_leave(words):
+    """Exit functions may take what is left of the time; the interpreter is not taken down."""
+    command = [sys.executable, "-c", ENDED_SLOWLY, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child, folder = process.stdout.readline().split()
+        assert Path(folder).is_dir()
+        begin = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        _, error = process.communicate(timeout=90)
+        taken_s = time.monotonic() - begin
+    assert (process.returncode, error) == (143, "lidar2pano: terminated\n")
+    assert taken_s < 20  # in a busy machine
+    assert not Path(folder).exists() and not Path(f"/proc/{child}").exists()
+
+
 AFTERWARDS = """
 import signal, sys, time
 from lidar2pano.cli import main

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import functools
 import io
 import logging
+import math
 import os
+import select
 import signal
 import sys
 import threading
@@ -14,7 +17,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +25,7 @@ import typer
 from typer.main import get_command
 
 from lidar2pano import __version__
+from lidar2pano.child_process import end_children
 from lidar2pano.cli.config_files import add_config
 from lidar2pano.cli.console import print_error, speaking
 from lidar2pano.cli.help_layout import arrange
@@ -95,19 +99,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Any exception becomes one line on stderr and an exit code, with --debug after its traceback.
     """
+    if arguments is not None:
+        return _run(list(arguments), lambda _: nullcontext())
+    os.environ.setdefault(*WAITING)  # before torch is loaded
+    if COMPLETION in os.environ:
+        make_program().main(prog_name="lidar2pano")  # prints completions and leaves
+    with _ended_in_time() as leave:
+        try:
+            code = _run(sys.argv[1:], _quiet)
+        except Terminated:  # by a signal that came when the command was done
+            code = TERMINATED
+        return leave(code)
+
+
+def _run(words: list[str], surroundings: Callable[[bool], AbstractContextManager[None]]) -> int:
+    """Run a command in its surroundings, which are told of --debug, and return its exit code."""
     command = make_program()
-    if arguments is None:
-        os.environ.setdefault(*WAITING)  # before torch is loaded
-    if arguments is None and COMPLETION in os.environ:
-        command.main(prog_name="lidar2pano")  # prints completions and leaves
-    words = list(sys.argv[1:] if arguments is None else arguments)
     debug, verbose, quiet = (flag in words for flag in EVERYWHERE)
     words = [word for word in words if word not in EVERYWHERE]
     _open_streams()
-    with ExitStack() as stack:
-        stack.enter_context(speaking(verbose=verbose, quiet=quiet))
-        if arguments is None:
-            stack.enter_context(_quiet(debug))
+    with speaking(verbose=verbose, quiet=quiet), surroundings(debug):
         try:
             # not command.main(): it handles Ctrl-C and a closed pipe in its own way
             with command.make_context("lidar2pano", words) as context:
@@ -148,12 +159,8 @@ def _flushed() -> bool:
 
 @contextmanager
 def _quiet(debug: bool) -> Iterator[None]:
-    """Let SIGTERM raise Terminated, and hide libraries' warnings unless `debug`, in a process of our own."""
-
-    def terminate(*_: object) -> None:
-        raise Terminated("terminated")
-
-    with _ended_in_time(terminate), warnings.catch_warnings():
+    """Hide libraries' warnings unless `debug`, in a process of our own."""
+    with warnings.catch_warnings():
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
             logging.lastResort = logging.NullHandler()  # None would report a missing handler
@@ -163,35 +170,70 @@ def _quiet(debug: bool) -> Iterator[None]:
 
 
 @contextmanager
-def _ended_in_time(terminate: Callable[..., None]) -> Iterator[None]:
-    """Inside, SIGTERM calls `terminate`, and ends the process GRACE_S later, though threads wait.
+def _ended_in_time() -> Iterator[Callable[[int], int]]:
+    """Inside, SIGTERM raises Terminated, and ends the process GRACE_S later, though threads wait.
 
-    Later signals find the earlier handler again; the end that one has set in motion comes all the same.
+    The value returns a command's exit code; after a SIGTERM it ends the process with it, since to take down the
+    interpreter and its libraries takes many seconds in a busy machine. Later signals find the earlier handler again.
     """
+
+    def terminate(*_: object) -> None:
+        raise Terminated("terminated")
+
     handler = signal.signal(signal.SIGTERM, terminate)
     if os.name != "posix":
-        yield
+        yield lambda code: code
         return
     receiver, sender = os.pipe()
     os.set_blocking(sender, False)
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)  # written to at once, even while Python waits
     _forget_wakeup_in_children()
+    codes = list[int]()  # of the command, when it is done
+    deadline = _Deadline(receiver, codes)
+    deadline.start()
 
-    def watch() -> None:
-        with open(receiver, "rb", buffering=0) as numbers:  # noqa: PTH123 a descriptor, no path
-            while number := numbers.read(1):
-                if number[0] == signal.SIGTERM:
-                    time.sleep(GRACE_S)
-                    print_error("terminated, before all work was put away; repeat the command to go on")
-                    os._exit(TERMINATED)
+    def leave(code: int) -> int:
+        signal.signal(signal.SIGTERM, lambda *_: None)  # the deadline's thread gets it all the same
+        codes.append(code)
+        os.write(sender, bytes(1))
+        deadline.asked.wait()
+        if deadline.signalled or code == TERMINATED:  # a library may have listened in our place
+            atexit._run_exitfuncs()  # children end, temporary folders go
+            os._exit(code)
+        return code
 
-    threading.Thread(target=watch, name="end in time", daemon=True).start()
     try:
-        yield
+        yield leave
     finally:
         signal.set_wakeup_fd(wakeup)
         signal.signal(signal.SIGTERM, handler)
         os.close(sender)  # the thread reads the rest of the pipe, then its end
+
+
+class _Deadline(threading.Thread):
+    """Ends the process GRACE_S after the number of SIGTERM has been read from a pipe."""
+
+    def __init__(self, receiver: int, codes: Sequence[int]) -> None:
+        super().__init__(name="end in time", daemon=True)
+        self.receiver, self.codes = receiver, codes
+        self.signalled, self.asked = False, threading.Event()  # whether SIGTERM had come when 0 was read
+
+    def run(self) -> None:
+        """Read numbers of signals until the pipe ends, or the time."""
+        end = math.inf
+        with open(self.receiver, "rb", buffering=0) as numbers:  # noqa: PTH123 a descriptor, no path
+            while select.select([numbers], [], [], None if end == math.inf else max(0, end - time.monotonic()))[0]:
+                (number,) = numbers.read(1) or (-1,)
+                if number == signal.SIGTERM and not self.signalled:
+                    self.signalled, end = True, time.monotonic() + GRACE_S
+                elif number == 0:
+                    self.asked.set()
+                elif number == -1:
+                    return
+        if not self.codes:
+            print_error("terminated, before all work was put away; repeat the command to go on")
+        end_children()
+        os._exit(self.codes[0] if self.codes else TERMINATED)
 
 
 @functools.cache
