@@ -31,8 +31,8 @@ def example(name: str) -> dict[str, Any]:
 def test_every_example_is_listed_and_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     listed = (EXAMPLES / "README.md").read_text(encoding="utf-8")
-    assert names == {"panorama_from_numpy.py", "colour_points.py", "drive_to_video.py", "ros_node.py"}
-    further = {"panorama.ipynb", "space/app.py"}
+    assert names == {"panorama_from_numpy.py", "colour_points.py", "drive_to_video.py"}
+    further = {"panorama.ipynb", "space/app.py", "ros/lidar2pano_ros/node.py"}
     assert all((EXAMPLES / name).is_file() for name in further)
     assert [name for name in names | further if f"({name})" not in listed] == []
 
