@@ -315,7 +315,7 @@ def test_a_run_leaves_weights_previews_and_curves(tmp_path, caplog):
         ours = model.state_dict()["layers.0.weight"]
         assert torch.allclose(ours, weights[averaged], atol=1e-3)
         assert not torch.allclose(ours, weights["network/generator/layers.0.weight"], atol=1e-3)
-    assert set(load(tmp_path / "weights/generator.safetensors")[1].score) == {"score", "split"}
+    assert set(load(tmp_path / "weights/generator.safetensors")[1].score) == {"score", "split", "looks"}
     previews = sorted((tmp_path / "preview").iterdir())
     assert len(previews) > 1 and previews[-1].name == "0000012-grey.png"
     assert (np.asarray(Image.open(previews[-1])) == np.full((4, 5, 3), 128)).all()
@@ -331,7 +331,9 @@ def test_the_best_weights_stay_when_later_ones_are_worse(tmp_path, monkeypatch):
     run(toy_recipe("toy", validate_minutes=1e-9), tmp_path)
     best, last = (load(tmp_path / "weights" / f"generator{end}.safetensors")[1] for end in ("", ".last"))
     assert best.score["score"] == 0.75 and best.steps < last.steps == 12
-    assert load_checkpoint(tmp_path)[0].best == 0.75
+    progress = load_checkpoint(tmp_path)[0]
+    assert progress.best == 0.75
+    assert best.score["looks"] == 3 < progress.looks  # the third of the scores above is the best
 
 
 def test_a_loss_that_is_not_finite_leaves_the_last_checkpoint(tmp_path, monkeypatch):

@@ -55,7 +55,7 @@ class Progress:
 
     step       optimiser steps done; seconds: wall clock used, over all sittings.
     validated  the step of the last validation, finished: the step of completion (-1: none yet).
-    best       the best score so far, None before the first.
+    best       the best score so far, None before the first;  looks: how often the validation splits were scored.
     """
 
     step: int = 0
@@ -63,10 +63,11 @@ class Progress:
     validated: int = -1
     finished: int = -1
     best: float | None = None
+    looks: int = 0
 
     def __post_init__(self) -> None:
         """Refuse negative counts (ValueError)."""
-        if min(self.step, self.seconds) < 0 or min(self.validated, self.finished) < -1:
+        if min(self.step, self.seconds, self.looks) < 0 or min(self.validated, self.finished) < -1:
             raise ValueError("counts of steps or seconds are negative")
 
 

@@ -332,6 +332,7 @@ class Run:
     def _validate(self) -> None:
         """Score the (averaged) weights and release them if they are the best so far."""
         progress = self.progress
+        progress.looks += 1
         if self.monitor:
             with self._averaged():
                 scores = self.task.validate()
@@ -346,7 +347,7 @@ class Run:
     def _release(self, scores: dict[str, float], last: bool = False) -> None:
         """Write the released networks as they are now."""
         score = {name: value for name, value in scores.items() if isfinite(value)}
-        score |= {"split": " + ".join(self.recipe.data.val)}
+        score |= {"split": " + ".join(self.recipe.data.val), "looks": self.progress.looks}
         ours = {
             "recipe": self.recipe.name,
             "data": self.data,
