@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch.utils.data import default_collate
 
 import lidar2pano
@@ -46,16 +47,20 @@ def place(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def sectors(place):
+    return sectors_of(place, place / "set", place / "cache", "all")
+
+
+def sectors_of(place, root, cache, *splits):
     family = place / "family"
     return LatentFrames(
-        place / "set",
-        ("all",),
+        root,
+        splits,
         lidar2pano.load(family, "cpu", "torch"),
         load(place / "autoencoder.safetensors")[0],
         (str(family / "segmenter.safetensors"), str(family / "translator.safetensors")),
         ("photograph",),
         96,
-        str(place / "cache"),
+        str(cache),
     )
 
 
@@ -119,6 +124,37 @@ def test_a_crop_and_its_mirror_belong_to_their_latents(sectors):
         classes = (scene.flip(-1) if mirror else scene)[:16, :, 4 * start : 4 * start + 96]
         torch.testing.assert_close(classes, sample.conditions[:16])
     assert mirrors == {False, True}
+
+
+def test_a_labelled_photograph_is_a_sector_without_geometry(place, tmp_path):
+    """A photograph of 50 degrees: blue, its upper half sky; below it car to the left, unknown to the right."""
+    labels = np.full((120, 160), 10, np.uint8)
+    labels[60:, :80], labels[60:, 80:] = 13, 255
+    for name in ("images", "labels"):
+        (tmp_path / name).mkdir()
+    Image.fromarray(np.full((120, 160, 3), (10, 60, 200), np.uint8)).save(tmp_path / "images/a.png")
+    Image.fromarray(labels).save(tmp_path / "labels/a.png")
+    photographs = sectors_of(place, tmp_path, tmp_path / "cache", "train", "train")
+    conditions = photographs.conditions(0, 0, 160)
+    focal = TRANSLATOR_VIEW.columns / (2 * np.pi)
+    azimuth = (80 - np.arange(160) - 0.5) / focal
+    slope = 0.24 - (np.arange(48) + 0.5) / 48 * (0.24 + 0.2836)
+    seen = np.broadcast_to(np.abs(azimuth) < np.radians(25), (48, 160))  # rows end within the photograph's
+    sky = seen & (slope[:, None] > 0)
+    car = seen & (slope[:, None] < 0) & (azimuth > 0)
+    assert np.array_equal(conditions[15] > 0, sky) and np.array_equal(conditions[1] > 0, car)
+    assert np.array_equal(conditions[:16].sum(0) > 0, sky | car)
+    assert (conditions[16:25] == 0).all()
+    torch.testing.assert_close(conditions[25, :, 0], torch.tensor(slope / 0.3).float())
+    picture, coverage = photographs.photograph(0)
+    assert np.array_equal(coverage.view(48, 2, 160, 2).all(3).all(1), seen)
+    assert np.abs((picture[:, coverage].T.numpy() + 1) * 127.5 - (10, 60, 200)).max() < 4
+    sample = photographs[SampleIndex(0, 3)]
+    assert photographs.encoded(0) is photographs.encoded(1)  # of a split that is named twice
+    assert sample.coverage.any() and (sample.conditions[16:25] == 0).all()
+    (tmp_path / "labels/a.png").unlink()
+    with pytest.raises(InputError, match=r"a\.png: is missing"):
+        sectors_of(place, tmp_path, tmp_path / "empty", "train").conditions(0, 0, 160)
 
 
 def test_gaps_have_the_nearest_known_colour():

@@ -4,7 +4,7 @@ Cityscapes   ROOT/leftImg8bit/<split>/<city>/<city>_<drive>_<frame>_leftImg8bit.
              ROOT/gtFine/<split>/<city>/<...>_gtFine_labelIds.png or if there is one, ..._gtFine_labelTrainIds.png.
 Folder       ROOT/images/<split>/<name>.png|jpg and ROOT/labels/<split>/<name>.png with Cityscapes train ids; if
              images lie in images/ itself, all in it are of the split "train".
-Frames have an image and camera labels, so a camera segmenter and vid2vid train on them.
+Frames have an image and camera labels, so a camera segmenter, vid2vid and a latent painter train on them.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class LabelledImage(Frame):
         """See Frame."""
         if part == "camera_labels":
             return f"{self.labels_file}: is missing; complete the labels, or leave {self.image_file.name} out"
-        return f"{self.root}: has images and labels only, no {part.replace('_', ' ')}; sdnet and vid2vid train on it"
+        lacks = part.replace("_", " ")
+        return f"{self.root}: has images and labels only, no {lacks}; sdnet, vid2vid and latent-painter train on it"
 
 
 def matches(root: Path) -> bool:

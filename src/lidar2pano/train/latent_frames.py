@@ -1,6 +1,7 @@
 """Sectors to learn the latent painter from: the scene of a scan, and the photograph of a camera beside it.
 
-A sector is made once, by released networks, and kept in a file.
+A sector is made once, by released networks, and kept in a file. A labelled photograph without a scan is a sector as
+well, whose scene has its labelled classes alone.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.frames import Frame, SampleIndex
+from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, SampleIndex
+from lidar2pano.data.labelled_images import LabelledImage
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.data.photographs import as_signed, cameras
@@ -29,13 +31,16 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
+from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder
-from lidar2pano.models.latent_painter import FOLD, STRIDE, conditions_of, mirrored
+from lidar2pano.models.latent_painter import FOLD, GEOMETRY, MEASUREMENT, STRIDE, conditions_of, mirrored
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.scene.depth import FAR_M
 from lidar2pano.scene.record import Scene
 from lidar2pano.train.painting_frames import kept_tensors, look_of, made_by
 from lidar2pano.views import FULL_TURN, View
 
+ASSUMED_FIELD_DEG = 50  # from the left to the right edge of a photograph without calibration (Cityscapes': 48.7)
 FORM = 1  # raised when the files of the same frames hold something else
 SECTOR_DEG = 100  # width of a camera's sector, about: a multiple of STRIDE columns
 QUALITY = 95  # of photographs in the files, as JPEG without subsampled colours
@@ -97,7 +102,7 @@ class LatentFrames:
             for camera in cameras(frame)
             if is_rectified(frame, camera)
         ]
-        self._encoded: dict[int, Encoded] = {}
+        self._encoded: dict[Path, Encoded] = {}  # by the sector's file: a split that is named twice is encoded once
 
     @staticmethod
     def _look(frame: Frame, looks: tuple[str, ...]) -> int:
@@ -116,7 +121,7 @@ class LatentFrames:
         encoded, cells = self.encoded(index), self.columns // FOLD
         generator = None if isinstance(key, int) else np.random.default_rng(key.seed)
         start = self._start(encoded.coverage, cells, generator)
-        conditions = conditions_of(self.scene(index, start * FOLD, self.columns))[0]
+        conditions = self.conditions(index, start * FOLD, self.columns)
         window = (..., slice(start, start + cells))
         latents, coverage = encoded.latents[window], encoded.coverage[window]
         if generator is not None and generator.random() < 0.5:
@@ -137,6 +142,13 @@ class LatentFrames:
             return min(max((first + last - cells) // 2, 0), spare)
         least = min(max(first - 3 * cells // 4, 0), spare)
         return int(generator.integers(least, max(min(last - cells // 4, spare), least) + 1))
+
+    def conditions(self, index: int, start: int, columns: int) -> Tensor:
+        """Return the conditions (CONDITIONS, H, columns) of a sector from column `start` on."""
+        conditions = conditions_of(self.scene(index, start, columns))[0]
+        if isinstance(self.frames[self.places[index][0]], LabelledImage):
+            conditions[GEOMETRY], conditions[MEASUREMENT] = 0, 0
+        return conditions
 
     def scene(self, index: int, start: int, columns: int) -> Scene:
         """Return the scene of a sector's columns from `start` on."""
@@ -165,20 +177,23 @@ class LatentFrames:
 
     def encoded(self, index: int) -> Encoded:
         """Return the latents of a sector; they are kept in memory from the first use on."""
-        if index not in self._encoded:
+        number, camera, _ = self.places[index]
+        file = self._file(self.frames[number], camera)
+        if file not in self._encoded:
             picture, coverage = self.photograph(index)
             pictures = torch.stack([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
             with torch.no_grad(), fast_arithmetic(torch.device("cpu")):
                 latents = torch.cat([self.autoencoder.encode(part) for part in pictures.split(1)]).half()
             unknown = max_pool2d((~coverage)[None, None].float(), FACTOR)[0, 0]
-            self._encoded[index] = Encoded(latents[0], latents[1], unknown == 0)
-        return self._encoded[index]
+            self._encoded[file] = Encoded(latents[0], latents[1], unknown == 0)
+        return self._encoded[file]
 
     def kept(self, index: int) -> dict[str, Tensor]:
         """Return the content of a sector's file; the first use makes it."""
         number, camera, _ = self.places[index]
         frame = self.frames[number]
-        return kept_tensors(self._file(frame, camera), lambda: self._made(frame, camera))
+        make = self._labelled if isinstance(frame, LabelledImage) else self._made
+        return kept_tensors(self._file(frame, camera), lambda: make(frame, camera))
 
     def _file(self, frame: Frame, camera: str) -> Path:
         assert frame.root is not None, "frames of data sets have one"
@@ -197,18 +212,30 @@ class LatentFrames:
         columns = (torch.arange(view.columns) + start) % whole.view.columns
         channels = scene.channels[0, ..., columns]
         remission = (channels[4].clamp(0, 1) * (BYTE - 1)).round() + 1
-        stream = io.BytesIO()
-        filled = Image.fromarray(without_gaps(picture, coverage).movedim(0, 2).contiguous().numpy())
-        filled.save(stream, "JPEG", quality=QUALITY, subsampling=0)
         made = {
             "probabilities": (scene.probabilities[0, ..., columns] * BYTE).round().byte(),
             "depth_m": scene.depth_m[0, :, columns],  # halves of it would make normals of steps
             "measured": (remission * (channels[0] > 0)).byte(),
             "viewpoint_m": scene.viewpoint_m.float(),
-            "photograph": torch.frombuffer(bytearray(stream.getvalue()), dtype=torch.uint8),
-            "coverage": packed(coverage),
         }
-        return {name: value.contiguous() for name, value in made.items()}
+        return {name: value.contiguous() for name, value in made.items()} | pictured(picture, coverage)
+
+    def _labelled(self, frame: Frame, _: str) -> dict[str, Tensor]:
+        """Make the sector of a photograph without a scan: labelled classes are sure, unknown ones no class at all."""
+        image, labels = frame.require("image", "camera_labels")
+        calibration = level_camera(image.shape[1], image.shape[0])
+        sector = sector_around(at_camera(self.pipeline.view, calibration), calibration)
+        finer = camera_in_panorama(sector.scaled(2), calibration)
+        picture = finer.linear(torch.from_numpy(image).movedim(2, 0).float()).round().byte()
+        ids = camera_in_panorama(sector, calibration).nearest(torch.from_numpy(CITYSCAPES_TO_COMMON15[labels]), IGNORE)
+        classes = torch.arange(len(COMMON15))[:, None, None]
+        made = {
+            "probabilities": (ids == classes).byte() * BYTE,
+            "depth_m": torch.full(ids.shape, FAR_M),
+            "measured": torch.zeros(ids.shape, dtype=torch.uint8),
+            "viewpoint_m": torch.zeros(1),
+        }
+        return made | pictured(picture, finer.valid)
 
     def _pictured(self, frame: Frame, camera: str) -> tuple[View, Tensor, Tensor]:
         """Return a sector's raster, its picture (3, 2H, 2w) uint8 on one twice as fine, and its coverage."""
@@ -224,6 +251,23 @@ class LatentFrames:
         if ego_mask is None:
             return sector, picture, look_up.valid
         return sector, picture, look_up.valid & (look_up.nearest(torch.from_numpy(ego_mask).byte(), 1) == 0)
+
+
+def pictured(picture: Tensor, coverage: Tensor) -> dict[str, Tensor]:
+    """Return a picture (3, H, W) uint8, as JPEG, and its coverage (H, W) bool, as a sector's file keeps them."""
+    stream = io.BytesIO()
+    filled = Image.fromarray(without_gaps(picture, coverage).movedim(0, 2).contiguous().numpy())
+    filled.save(stream, "JPEG", quality=QUALITY, subsampling=0)
+    photograph = torch.frombuffer(bytearray(stream.getvalue()), dtype=torch.uint8)
+    return {"photograph": photograph, "coverage": packed(coverage)}
+
+
+def level_camera(width: int, height: int) -> Calibration:
+    """Return the calibration of a camera that looks level along x, ASSUMED_FIELD_DEG wide, from the sensor's place."""
+    focal = width / 2 / math.tan(math.radians(ASSUMED_FIELD_DEG / 2))
+    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    T_camera_lidar = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    return Calibration(K=K, T_camera_lidar=T_camera_lidar, size=(width, height))
 
 
 def is_rectified(frame: Frame, camera: str) -> bool:
