@@ -49,6 +49,14 @@ def test_a_useless_camera_is_left_out_with_one_line_and_the_others_stay(scan, ph
     assert doubt.startswith("camera bad is left out: ") and says in doubt and "\n" not in doubt
 
 
+def test_an_image_may_be_read_only(scan, photo):
+    """As np.asarray(Image.open(...)) is; PyTorch warns where it takes such memory as its own."""
+    image = photo.image.copy()
+    image.setflags(write=False)
+    kept, _ = sound_cameras([replace(photo, image=image)], scan, edges=True)
+    assert len(kept) == 1
+
+
 @pytest.mark.parametrize("change", [{"time_s": 0.09}, {"image": None}])
 def test_a_night_and_a_small_delay_are_no_doubt(scan, photo, change):
     if change.get("image", 0) is None:

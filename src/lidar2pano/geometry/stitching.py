@@ -56,7 +56,7 @@ class Camera:
 
     def colours(self, sight: Sight) -> Tensor:
         """Return what a sight shows, (3, n) float32 in 0 .. 255, multiplied by the gain; bilinear."""
-        image = torch.from_numpy(self.image).movedim(2, 0).float()
+        image = torch.tensor(self.image).movedim(2, 0).float()
         return sight.lookup.linear(image) * torch.tensor(self.gain)[:, None]
 
 

@@ -118,7 +118,7 @@ def turned_fit(camera: Camera, edge_points: Tensor) -> float:
 
     edge_points  (3, n). Steps are the square roots of differences of grey to either side: few large ones decide less.
     """
-    grey = torch.from_numpy(camera.image[::EVERY_PX, ::EVERY_PX]).float().mean(2)
+    grey = torch.tensor(camera.image[::EVERY_PX, ::EVERY_PX]).float().mean(2)
     steps = max_pool2d((grey.roll(-1, 1) - grey.roll(1, 1)).abs().sqrt()[None], 3, 1, 1)[0]
     values = torch.full((2, edge_points.shape[1]), torch.nan)
     calibration = camera.calibration
