@@ -58,6 +58,17 @@ def test_units_of_headers():
     assert cloud.intensity is not None and cloud.intensity.tolist() == [2, 3]
 
 
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("\u00b5m", 1e-6), ("\u03bcm", 1e-6), ("um", 1e-6), ("microns", 1e-6), ("Millimetres", 1e-3), ("meters", 1),
+     ("in", 0.0254), ("inches", 0.0254), ("feet", 0.3048), ("ftUS", 1200 / 3937), ("km", 1e3)],
+)  # fmt: skip
+def test_units_of_length(unit, metres):
+    for text in (f"x ({unit}),y [{unit}],z\n2,3,4\n", f"x,y,z\n{unit},[{unit}],-\n2,3,4\n"):
+        np.testing.assert_allclose(decode(text.encode(), PATH).xyz[0], [2 * metres, 3 * metres, 4])
+    assert column("x_um") == ("x", 1e-6) and column("x_in") == ("x_in", 1) and column("time [\u00b5s]").factor == 1e-6
+
+
 def test_a_line_of_units_below_the_header():
     cloud = decode(b"x,y,z,time\n[mm],[cm],m,ms\n3000,400,5,0\n1,1,1,100\n", PATH)
     np.testing.assert_allclose(cloud.xyz[0], [3, 4, 5])
@@ -116,6 +127,15 @@ def test_other_names_are_no_axes():
         ("1.234 2.345 3.456\n", [1.234, 2.345, 3.456]),
         ("1.5;2.5;3.5\n", [1.5, 2.5, 3.5]),
         ("# exported 1.2.2026, 12:30\n1,5;2,5;3,5\n", [1.5, 2.5, 3.5]),
+        ("x y z\n 1.5D+01 -2.D0 .3d-1\n 1.0D0 2.0D0 3.0D0\n", [15, -2, 0.03]),  # Fortran
+        ("0.150D+02,2,3\n", [15, 2, 3]),
+        ("x;y;z\n1'234.5;-2'000'000;3\n", [1234.5, -2e6, 3]),  # Switzerland
+        ("1\u2019234.5;2;3\n", [1234.5, 2, 3]),
+        ('x,y,z\n"1,234.5","-2,000.0",3\n', [1234.5, -2000, 3]),  # America
+        ("[1.5, 2, 3]\n[4, 5, 6]\n", [1.5, 2, 3]),  # lists of Python
+        ("[[1.5, 2, 3],\n [4, 5, 6]]\n", [1.5, 2, 3]),
+        ("[[ 1.5  2.   3. ]\n [ 4.   5.   6. ]]\n", [1.5, 2, 3]),  # NumPy
+        (" 1.5\t  2\t3   0.5 \n 4\t5\t6 1\n", [1.5, 2, 3]),
     ],
 )
 def test_numbers_of_other_places(text, xyz):

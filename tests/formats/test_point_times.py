@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar2pano.formats.point_cloud import point_times, seconds
+from lidar2pano.formats.point_cloud import cloud_of_columns, point_times, seconds
 
 COUNT = 2000
 TURN_S = np.linspace(0, 0.1, COUNT)
@@ -52,6 +52,49 @@ def test_another_clock_gives_times_from_the_first():
 def test_a_convention_of_nanoseconds_is_not_believed_of_microseconds():
     assert seconds("t", (TURN_S * 1e6).astype(np.uint32), None)[0][-1] == pytest.approx(0.1)
     assert seconds("t", (TURN_S * 1e9).astype(np.uint32), None)[0][-1] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("period", "unit", "dtype"),
+    [
+        (3600 * 10**6, 1e-6, np.uint32),  # Velodyne: microseconds of the hour
+        (10**9, 1e-9, np.uint32),  # nanoseconds of the second
+        (2**32, 1e-9, np.uint32),
+        (604_800, 1.0, np.float64),  # GPS: seconds of the week
+    ],
+)
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_a_clock_that_begins_again_amid_a_sweep(period, unit, dtype, share):
+    values = ((period - share * 0.1 / unit + TURN_S / unit) % period).astype(dtype)
+    time_s, _, odd = seconds("time", values, None)
+    assert time_s is not None and odd == 0
+    np.testing.assert_allclose(time_s - time_s[0], TURN_S, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("whole", "part", "unit"),
+    [
+        ("sec", "nsec", 1e-9),
+        ("secs", "nsecs", 1e-9),
+        ("timestamp_sec", "timestamp_nanosec", 1e-9),
+        ("stamp.secs", "stamp.nsecs", 1e-9),
+        ("tv_sec", "tv_usec", 1e-6),
+        ("time_s", "time_us", 1e-6),
+    ],
+)
+def test_seconds_and_the_rest_in_two_columns(whole, part, unit):
+    times = EPOCH_S + 0.95 + TURN_S
+    seconds_, rest = np.floor(times), (times % 1 / unit).round()
+    columns = {axis: np.ones(COUNT) for axis in "xyz"} | {whole: seconds_, part: rest}
+    cloud = cloud_of_columns(columns, format="", name="a")
+    assert cloud.time_s is not None and cloud.stamp_s == pytest.approx(times[0], abs=1e-5) and not cloud.doubts
+    np.testing.assert_allclose(cloud.time_s, TURN_S, atol=2e-6)
+
+
+def test_two_columns_of_too_few_digits_are_no_time():
+    columns = {axis: np.ones(COUNT, np.float32) for axis in "xyz"}
+    columns |= {"sec": (EPOCH_S + TURN_S).astype(np.float32), "nsec": (TURN_S * 1e9).astype(np.float32)}
+    assert cloud_of_columns(columns, format="", name="a").time_s is None
 
 
 def test_what_is_no_time_is_passed_over_and_doubted():

@@ -13,18 +13,21 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.field_names import METRES, SECONDS, Column, are_numbered, column, has_axes, meanings
+from lidar2pano.formats.field_names import Column, are_numbered, column, has_axes, meanings, unit_factor
 from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 from lidar2pano.formats.unnamed_columns import column_names
 
-SEPARATORS = bytes.maketrans(b",;\t|()", b"      ")
+SEPARATORS = bytes.maketrans(b",;\t|()[]", b"        ")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 NOT_A_NUMBER = re.compile(
     r"[-+]?(?:1\.)?#?\w*(?:nan|inf|ind)\b", re.IGNORECASE
 )  # of programs in C: -nan(ind), 1.#QNAN, 1.#INF
 COMMA_NUMBER = re.compile(r"[-+]?(\d{1,3}(\.\d{3})+|\d*)(,\d+)?([eE][-+]?\d+)?")  # 3,14 and 1.234,5
 QUOTED = re.compile(r'"[-+]?\d*,\d+(?:[eE][-+]?\d+)?"')
+GROUPED = re.compile(r'"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d+)?"')  # "1,234.5", quoted since commas separate
+FORTRAN = re.compile(rb"(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+))[dD](?=[-+]?\d+(?![\w.]))")  # 1.0D+01
+APOSTROPHE = re.compile(rb"(?<=\d)(?:'|\xe2\x80\x99)(?=\d{3})")  # 1'234.5
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
 REMARK = re.compile(r"^(?:#+|//)\s*")
 MINUS, HARD_SPACE, NARROW_SPACE = "\u2212".encode(), "\u00a0".encode(), "\u202f".encode()
@@ -86,13 +89,20 @@ def decode(data: bytes, path: Path) -> PointCloud:
 def _plain_numbers(data: bytes) -> bytes:
     """Return text with decimal points and ASCII signs: "3,14;2,72" is "3.14;2.72", and "1.234,5" is "1234.5".
 
+    Exponents of Fortran ("1.0D+01") become those of C, and marks of thousands go.
+
     Commas are decimal where other separators make three numbers or more of a line, and within quotes.
     """
     if b"\n" not in data[:HEAD_BYTES]:
         data = data.replace(b"\r", b"\n")
     for sign, plain in ((MINUS, b"-"), (NARROW_SPACE, b""), (HARD_SPACE, b"")):
         data = data.replace(sign, plain) if sign in data[:HEAD_BYTES] else data
+    head = data[:HEAD_BYTES]
+    data = FORTRAN.sub(rb"\1e", data) if FORTRAN.search(head) else data
+    data = APOSTROPHE.sub(b"", data) if APOSTROPHE.search(head) else data
     lines = data[:HEAD_BYTES].decode("utf-8", "replace").splitlines()[:SAMPLE_LINES]
+    if any(GROUPED.search(line) and "." in line for line in lines):
+        return re.sub(rb'"[^"\n]*"', lambda cell: cell[0].replace(b",", b"").strip(b'"'), data)
     if sum(bool(QUOTED.search(line)) for line in lines) > len(lines) // 2:
         return re.sub(rb'"([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)"', rb"\1.\2", data)
     rows = [cells for line in lines if len(cells := re.split(r"[;|\t ]+", line.strip(" ;|\t"))) >= LEAST]
@@ -232,8 +242,7 @@ def _preamble(data: bytes, path: Path) -> tuple[list[Column], int | None, bytes]
 
 def _in_unit(column: Column, cell: str) -> Column:
     """Return the column in the unit of a cell below its name."""
-    unit = cell.strip("[]() ").lower()
-    return column._replace(factor=(SECONDS if "time" in column.name.lower() else METRES).get(unit, column.factor))
+    return column._replace(factor=unit_factor(column.name, cell.strip("[]() "), column.factor))
 
 
 def _is_header(cells: list[str]) -> bool:
@@ -255,7 +264,10 @@ def _is_numbered(cells: list[str]) -> bool:
 def _cells(line: str, width: int = 0) -> list[str]:
     """Return a line's cells without quotes; a separator at the end adds none beyond `width`."""
     line = line.strip()
-    line = line[1:-1] if line.startswith("(") and line.endswith(")") else line
+    if line.startswith(("(", "[")):  # a tuple or list of Python
+        line = line.lstrip("([ ").rstrip(")], ")
+    if "\t\t" not in line and _all_numbers(words := line.split()):  # spaces and tabs alike
+        return words
     for separator in (";", ",", "\t", "|"):
         if separator in line:
             try:

@@ -42,9 +42,24 @@ SPHERICAL = tuple(
 VECTOR = re.compile(
     r"(?:.*[^a-z])?(?:n|normals?|v|vel\w*|a|acc\w*|g|gyro\w*|w|ang\w*|q|rot\w*|ori\w*|dir\w*|std|sigma)"
 )
-UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
-METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "ft": 0.3048}
-SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "ns": 1e-9}
+UNIT = re.compile(  # "x [mm]", "Range (m)", "y_mm"
+    r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]"
+    r"|(\w+?)[ _](m|[dcmu\u00b5\u03bc]m|km|ft|feet|inch(?:es)?|(?:milli|centi|micro)?met(?:re|er)s?)"
+)
+MICRO = str.maketrans("\u00b5\u03bc", "uu")  # the sign and the Greek letter
+METRES = {
+    "m": 1.0, "met": 1.0, "dm": 0.1, "cm": 1e-2, "centimet": 1e-2, "mm": 1e-3, "millimet": 1e-3, "um": 1e-6,
+    "micromet": 1e-6, "micron": 1e-6, "nm": 1e-9, "km": 1e3, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048,
+    "ftus": 1200 / 3937, "us survey feet": 1200 / 3937, "us-ft": 1200 / 3937, "in": 0.0254, "inch": 0.0254,
+    "inche": 0.0254, "yd": 0.9144,
+}  # fmt: skip
+SECONDS = {
+    "s": 1.0, "sec": 1.0, "second": 1.0, "ms": 1e-3, "msec": 1e-3, "millisecond": 1e-3, "us": 1e-6, "usec": 1e-6,
+    "microsecond": 1e-6, "ns": 1e-9, "nsec": 1e-9, "nanosec": 1e-9, "nanosecond": 1e-9,
+}  # fmt: skip
+# "sec" and "nsec", "timestamp_s" and "timestamp_ns", "stamp.secs" and "stamp.nsecs", "tv_sec" and "tv_usec"
+SECONDS_OF = re.compile(r"(|.*[ _.:/-])(n(?:ano)?|u|micro)?(s|secs?|seconds?)")
+FRACTIONS = {"n": 1, "u": 1000, "m": 1000}  # nanoseconds
 
 
 class Column(NamedTuple):
@@ -65,8 +80,16 @@ def column(cell: str) -> Column:
 def _without_unit(cell: str) -> Column:
     plain, unit = cell.strip(), ""
     if not AXIS.fullmatch(plain.lower()) and (named := UNIT.fullmatch(plain)):
-        plain, unit = (named[1], named[2].lower()) if named[1] else (named[3], named[4])
-    return Column(plain, (SECONDS if "time" in plain.lower() else METRES).get(unit, 1.0))
+        plain, unit = (named[1], named[2]) if named[1] else (named[3], named[4])
+    return Column(plain, unit_factor(plain, unit, 1.0))
+
+
+def unit_factor(name: str, unit: str, otherwise: float) -> float:
+    """Return the length in metres, or for a time the seconds, of a unit of a column; `otherwise` for an unknown one."""
+    unit = unit.lower().translate(MICRO)
+    factors = SECONDS if "time" in name.lower() else METRES
+    stem = re.sub(r"(?<=met)(?:re|er)s?$|(?<=\w\w)s$", "", unit)  # metres, meters, seconds
+    return factors.get(unit, factors.get(stem, otherwise))
 
 
 def meanings(names: Sequence[str]) -> list[Column]:
@@ -120,6 +143,22 @@ def _alike(names: Sequence[str]) -> dict[int, str]:
                 return {places[letter]: axis for letter, axis in zip(letters, "xyz", strict=True)}
     places = [next((place for place, name in enumerate(names) if form.fullmatch(name.lower())), None) for form in EARTH]
     return {} if None in places else dict(zip((place for place in places if place is not None), "xyz", strict=True))
+
+
+def second_pairs(names: Sequence[str]) -> list[tuple[tuple[str, str], str, int]]:
+    """Return pairs of names of a time's whole seconds and of the rest, what they share, and the rest's nanoseconds."""
+    whole: dict[str, str] = {}
+    parts: dict[str, tuple[str, int]] = {}
+    for name in names:
+        if named := SECONDS_OF.fullmatch(plain_name(name)):
+            prefix, fraction, _ = named.groups()
+            if fraction:
+                parts[prefix] = name, FRACTIONS[fraction[0]]
+            else:
+                whole[prefix] = name
+    return [
+        ((whole[key], part), key.strip(" _.:/-") or "time", unit) for key, (part, unit) in parts.items() if key in whole
+    ]
 
 
 def plain_name(name: str) -> str:

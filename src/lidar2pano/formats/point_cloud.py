@@ -21,6 +21,7 @@ from lidar2pano.formats.field_names import (
     find_named,
     meanings,
     plain_name,
+    second_pairs,
     spherical,
 )
 
@@ -43,6 +44,8 @@ SAMPLE = 2000  # values to tell by whether a field says anything
 NANOSECONDS = ("offset_ns", "offset_time", "t", "time_stamp")  # if stored as integers, by convention
 EPOCH_S = 1e8  # times beyond this, in seconds, count from an epoch and not from the start of the sweep
 UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # seconds
+PERIODS_S = (1, 60, 3600, 86_400, 604_800)  # of clocks
+CLOCKS = (*((round(period / unit), unit) for period in PERIODS_S for unit in UNITS), (2**32, 1e-9), (2**32, 1e-6))
 LONGEST_S = 3.2  # of a sweep: 0.1 s times the root of 1000, half-way to the next unit
 SHORTEST_S = 1e-3  # of a sweep in a unit by convention
 TURN_S = 0.2  # of the slowest LiDARs, 5 Hz
@@ -151,6 +154,7 @@ def cloud_of_columns(
     intensity, ring, time, light = (
         [(key, columns[key]) for key in find_named(columns, names, words)] for names, words in FIELDS
     )
+    time = _whole_times(columns) or time
     time_s, start_s, unsure = point_times(time, stamp_s, valid)
     return PointCloud(
         xyz=xyz,
@@ -183,6 +187,18 @@ def _with_places(columns: Mapping[str, np.ndarray], polar: Sequence[str]) -> dic
     level_m = range_m * np.cos(elevation)
     places = {"x": level_m * np.cos(azimuth), "y": level_m * np.sin(azimuth), "z": range_m * np.sin(elevation)}
     return places | {key: values for key, values in columns.items() if key not in polar}
+
+
+def _whole_times(columns: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Return times in nanoseconds of two columns, of whole seconds and of the rest ("sec", "nsec"); [] for no pair."""
+    for key, prefix, unit in second_pairs(list(columns)):
+        seconds, parts = columns[key[0]], columns[key[1]]
+        exact = all(values.dtype.kind in "iu" or values.dtype.itemsize == 8 for values in (seconds, parts))
+        if exact and all(
+            bool((np.isfinite(values) & (values >= 0) & (values < 2**33)).all()) for values in (seconds, parts)
+        ):
+            return [(prefix, seconds.astype(np.int64) * 10**9 + parts.astype(np.int64) * unit)]
+    return []
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
@@ -253,6 +269,7 @@ def seconds(
     valid = usable & valid if valid is not None and (usable & valid).any() else usable
     if not usable.any():
         return None, stamp_s, 0
+    values = _unwrapped(values, valid)
     middle, spread = _shortest_half(np.sort(values[valid]))
     if not spread:
         return None, stamp_s, 0
@@ -272,6 +289,23 @@ def seconds(
             return time_s, low_s, odd
         time_s += low_s - stamp_s
     return time_s, stamp_s, odd
+
+
+def _unwrapped(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return times without the step of a clock that begins again amid a sweep, as Velodyne's does each hour.
+
+    Then all times are within a turn of the clock's beginning or its end, in one unit.
+    """
+    times = values.astype(np.float64)
+    low, high = float(times[valid].min()), float(times[valid].max())
+    for period, unit in CLOCKS:
+        turn = TURN_S / unit
+        if not (0 <= low < turn and period - turn < high < period):
+            continue
+        early = times < turn
+        if (early | (times >= period - turn))[valid].all():
+            return np.where(early, times + period, times)
+    return values
 
 
 def _differences(values: np.ndarray, origins: np.ndarray | np.generic) -> np.ndarray:
