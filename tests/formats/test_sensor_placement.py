@@ -235,6 +235,22 @@ def test_centimetres_are_told_from_millimetres():
     assert read(XYZ * 1000)[1].unit_m == 1e-3
 
 
+@pytest.mark.parametrize("unit_m", [1e-6, 1e-5, 1e-4])
+def test_small_units_are_told_by_the_height_above_the_ground(unit_m, tmp_path, capsys):
+    path = made.write(tmp_path, "a.npy", made.npy((XYZ / unit_m).round().astype(np.int32)))
+    ((scan, found),) = interpreted(path)
+    assert found.unit_m == unit_m and not found.doubts
+    np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-3)
+    assert main(["inspect", str(path)]) == 0 and "illimetres" in capsys.readouterr().out.replace(
+        "crometres", "llimetres"
+    )
+
+
+def test_feet_are_doubted():
+    assert "if its unit is feet" in read(XYZ / 0.3048)[1].doubts[0]
+    assert not read(XYZ)[1].doubts
+
+
 def test_named_axes_hold_after_a_turn():
     tilted = PointCloud(xyz=(XYZ @ rotation("y", 12).T).astype(np.float32), intensity=FORMS, format="made up")
     scan, found = interpret(tilted, Overrides(forward="-x"))

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from lidar2pano.scan import Scan
 
 EPOCH_S = 1e8  # stamps beyond this count from 1970
+UNITS = {  # of coordinates, by their length in metres
+    1.0: "metres", 1e-2: "centimetres", 1e-3: "millimetres", 1e-4: "0.1 millimetres", 1e-5: "0.01 millimetres",
+    1e-6: "micrometres",
+}  # fmt: skip
 
 
 @app.command()
@@ -123,7 +127,7 @@ def lines_of(record: dict[str, Any]) -> list[str]:
     if record["ranges_m"]:
         least, middle, most = record["ranges_m"]
         lines.append(_line("ranges", f"{least:g} to {most:g} m, half of them within {middle:g} m"))
-    lines.append(_line("unit", {1.0: "metres", 1e-2: "centimetres", 1e-3: "millimetres"}[record["unit_m"]]))
+    lines.append(_line("unit", UNITS[record["unit_m"]]))
     frame = f"{record['frame']}: " if record["frame"] else ""
     lines.append(_line("frame", f"{frame}{record['forward']} is forward ({record['forward_by']})"))
     if record["turn_by"]:

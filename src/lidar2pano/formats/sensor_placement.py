@@ -33,7 +33,9 @@ CLOUD_ORIGIN, BY_VIEWPOINT = "the cloud's origin", "the file's VIEWPOINT"
 LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
 OTHER_AXIS_DEG = 45.0  # a turn by more is to another axis
 HEIGHTS_M = (1.0, 4.0)  # above the ground, of sensors whose axes are not the convention's
+FOOT_M = 0.3048
 FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
+SMALL_UNITS = (1e-3, 1e-2, 1e-6, 1e-4, 1e-5)  # metres, the usual ones first
 VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
 VEHICLE_DOWN_DEG = -9.0  # and no point lies far below the origin's horizon, as points do below a sensor
 STANDING_M = 0.3  # above the ground; lower points are ground
@@ -309,7 +311,16 @@ def place(sample: np.ndarray, claims: Claims) -> tuple[Placement, list[str]]:
         turn_by=stance.turn_by,
         forward=forward,
         forward_by=forward_by,
-    ), undecided + doubts + (unsure or _of_a_map(away, claims))
+    ), undecided + doubts + (unsure or _of_a_map(away, claims)) + _of_feet(sample, ground, claims)
+
+
+def _of_feet(sample: np.ndarray, ground: Ground | None, claims: Claims) -> list[str]:
+    """Return the doubt about points (N, 3) that a vehicle's sensor would see if their unit were feet."""
+    if ground is None or -ground.height_m <= HEIGHTS_M[1] or claims.named_height_m is not None:
+        return []
+    if not stands(best_ground(sample * FOOT_M)):
+        return []
+    return [f"the ground is {-ground.height_m:.1f} below it, too far for a vehicle; if its unit is feet, write metres"]
 
 
 def _of_a_map(away: bool, claims: Claims) -> list[str]:
@@ -322,12 +333,14 @@ def _of_a_map(away: bool, claims: Claims) -> list[str]:
 def find_unit(sample: np.ndarray) -> float:
     """Return the length of one unit of coordinates around the origin, in metres.
 
-    Beyond FAR_M they are millimetres, or centimetres if only these give a sensor's height above the ground.
+    Beyond FAR_M they are of the first of SMALL_UNITS that gives a sensor's height above the ground, else millimetres or
+    micrometres.
     """
     most = float(np.percentile(np.linalg.norm(sample, axis=1), 99))
-    if not FAR_M < most < 1000 * FAR_M:
+    if not most > FAR_M:
         return 1.0
-    return 1e-2 if not stands(best_ground(sample * 1e-3)) and stands(best_ground(sample * 1e-2)) else 1e-3
+    units = [unit for unit in SMALL_UNITS if most * unit < FAR_M]
+    return next((unit for unit in units if stands(best_ground(sample * unit))), units[0] if units else 1.0)
 
 
 def best_ground(sample: np.ndarray) -> Ground | None:
