@@ -39,6 +39,10 @@ def zipped(name: str) -> bytes:
         (b"CCB2" + bytes(90), "is a BIN of CloudCompare"),
         (b"livox_tech" + bytes(90), "is an LVX of Livox Viewer"),
         (b"\x89HDF\r\n\x1a\n" + bytes(90), "is an HDF5 container"),
+        (
+            b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n" + bytes(90),
+            "is a MAT-file of MATLAB",
+        ),
         (tar(), "is a tar archive"),
         (gzip.compress(tar(), mtime=0), "is a tar archive"),
         (pickle.dumps({"points": np.zeros(9)}, protocol=4), "is a Python pickle"),
@@ -49,6 +53,8 @@ def zipped(name: str) -> bytes:
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n", "run `git lfs pull`"),
         (b"<!DOCTYPE html>\n<html><body>1 2 3</body></html>\n", "is a web page"),
         (b'{"points": [\n1 2 3\n]}', "is JSON"),
+        (b'[{"x": 1.5, "y": 2}]\n', "is JSON"),
+        (b"[[1, 2, 3], [4, 5, 6]]\n", "is JSON"),
         (b"# Blender\nv 1.0 2.0 3.0\nv 1 2 3\nf 1 2 3\n", "is a mesh"),
         (
             b'--abc\r\nContent-Disposition: form-data; name="f"; filename="a.bin"\r\n\r\n' + bytes(90),
@@ -76,7 +82,7 @@ def test_no_row_of_floats_begins_so():
     assert [start for start in starts if foreign_kind(data[start : start + 400], path)] == []
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
 @pytest.mark.parametrize("name", ["a.csv", "a.pcd", "a.ply"])
 def test_marks_before_the_first_byte(tmp_path, encoding, name):
     text = {

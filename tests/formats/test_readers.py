@@ -151,6 +151,63 @@ def test_pcd_headers_of_others(tmp_path):
         np.testing.assert_array_equal(cloud(made.write(tmp_path, "a.pcd", content)).xyz, XYZ, err_msg=name)
 
 
+def test_a_pcd_with_too_few_sizes_is_read_if_its_length_agrees(tmp_path):
+    """The last of its fields has the usual type (Livox-SDK/livox_lane_detection #4)."""
+    lines = b"".join(b"%f %f %f 7\n" % tuple(xyz) for xyz in XYZ.tolist())
+    head = "VERSION 0.7\nFIELDS x y z class\nSIZE {0}\nTYPE {1}\nCOUNT {2}\nWIDTH {3}\nHEIGHT 1\nPOINTS {3}\nDATA {4}\n"
+    short = head.format("4 4 4", "F F F", "1 1 1", len(XYZ), "ascii").encode()
+    np.testing.assert_allclose(cloud(made.write(tmp_path, "a.pcd", short + lines)).xyz, XYZ, atol=1e-5)
+    binary = head.format("4 4 4", "F F F", "1 1 1", len(XYZ), "binary").encode()
+    rows = np.column_stack([XYZ, np.zeros(len(XYZ))]).astype("<f4")
+    np.testing.assert_array_equal(cloud(made.write(tmp_path, "b.pcd", binary + rows.tobytes())).xyz, XYZ)
+    doubles = binary + rows.astype(np.float64).tobytes()
+    assert "more follow" in complaint(lambda: read(made.write(tmp_path, "c.pcd", doubles)))
+    long = head.format("4 4 4 4 4", "F F F F", "1 1 1 1", len(XYZ), "binary").encode()
+    told = complaint(lambda: read(made.write(tmp_path, "d.pcd", long + rows.tobytes())))
+    assert "its header names 4 FIELDS, but has 5 in SIZE" in told
+
+
+def test_a_ply_of_carla_is_mirrored_and_said_so(tmp_path):
+    for further in ([("float32", "I")], [("float32", "CosAngle"), ("uint32", "ObjIdx"), ("uint32", "ObjTag")]):
+        properties = "".join(
+            f"property {kind} {name}\n" for kind, name in [("float32", axis) for axis in "xyz"] + further
+        )
+        head = f"ply\nformat ascii 1.0\nelement vertex {len(XYZ)}\n{properties}end_header\n".encode()
+        lines = b"".join(b"%.4f %.4f %.4f" % tuple(xyz) + b" 1" * len(further) + b"\n" for xyz in XYZ.tolist())
+        found = cloud(made.write(tmp_path, "a.ply", head + lines))
+        np.testing.assert_allclose(found.xyz, XYZ * [1, -1, 1], atol=1e-4)
+        assert "it was mirrored" in found.doubts[0]
+    other = cloud(made.write(tmp_path, "b.ply", head.replace(b"float32", b"float") + lines))
+    np.testing.assert_allclose(other.xyz, XYZ, atol=1e-4)
+
+
+def test_a_ply_whose_header_ends_with_a_space(tmp_path):
+    content = made.ply(XYZ, INTENSITY).replace(b"end_header", b"end header")  # LSD-SLAM
+    np.testing.assert_array_equal(cloud(made.write(tmp_path, "a.ply", content)).xyz, XYZ)
+    assert "a line end_header" in complaint(
+        lambda: read(made.write(tmp_path, "b.ply", content.replace(b"end h", b"h")))
+    )
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        [XYZ, INTENSITY],
+        [INTENSITY, XYZ],
+        [*XYZ.T, INTENSITY],
+        [np.linalg.norm(XYZ, axis=1), XYZ, INTENSITY],
+        [np.arange(len(XYZ)) * 7 % 19, np.column_stack([XYZ, INTENSITY])],  # labels
+        [np.column_stack([XYZ, INTENSITY]), np.eye(4)],  # a pose
+    ],
+)
+def test_arrays_of_an_npz_without_names(tmp_path, arrays):
+    named = {f"arr_{place}": array for place, array in enumerate(arrays)}
+    found = cloud(made.write(tmp_path, "a.npz", made.npz(**named)))
+    np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
+    assert found.intensity is not None
+    np.testing.assert_array_equal(found.intensity, INTENSITY)
+
+
 def test_pcd_of_doubles_keeps_them(tmp_path):
     far = np.array([[455123.123, 5412345.678, 110.25]])
     content = (
@@ -325,6 +382,21 @@ def test_a_number_that_the_others_contradict_condemns_no_message(changed, says):
     found = cloud_of(message(rows=1, padding=0, **changed), "scan")
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
     assert says in found.doubts[0]
+
+
+def test_fields_of_64_bits_are_read():
+    """PCL names them 9 and 10, and bool 11 (ros2/common_interfaces #300)."""
+    rows = np.zeros(len(XYZ), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("timestamp", "u8"), ("first", "u1")])
+    rows["x"], rows["y"], rows["z"] = XYZ.T
+    rows["timestamp"] = 1_700_000_000_000_000_000 + np.linspace(0, 1e8, len(XYZ)).astype(np.uint64)
+    kinds = {"x": 7, "y": 7, "z": 7, "timestamp": 10, "first": 11}
+    fields = [SimpleNamespace(name=name, offset=rows.dtype.fields[name][1], datatype=kind, count=1)
+              for name, kind in kinds.items()]  # fmt: skip
+    step = rows.dtype.itemsize
+    whole = {"fields": fields, "height": 1, "width": len(rows), "point_step": step, "row_step": step * len(rows),
+             "is_bigendian": False, "data": rows.tobytes()}  # fmt: skip
+    found = cloud_of(SimpleNamespace(**whole), "scan")
+    assert found.time_s is not None and found.time_s[-1] == pytest.approx(0.1) and not found.doubts
 
 
 def test_a_field_of_no_type_is_left_out():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,9 +46,10 @@ POINTS = (
     "data",
     "arr_0",
 )
-# sensor_msgs/PointField.datatype
-DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+# sensor_msgs/PointField.datatype; PCL writes 9 to 11, which the message does not define
+DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8", 9: "i8", 10: "u8", 11: "u1"}
 AXES = ("x", "y", "z")
+NUMBERED = re.compile(r"arr_\d+")  # numpy.savez's own names
 MOST_MEMBERS = 1000  # arrays of an archive
 UNPACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # bzip2 and lzma give out gigabytes at a time
 MOST_HEADER = 1 << 16  # of an NPY: NumPy itself refuses more than 10,000 bytes
@@ -218,6 +220,12 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for array in arrays.values():
         if array.dtype.names and has_axes(list(fields := _fields(array.reshape(-1)))):
             return fields
+    if (
+        len(arrays) > 1
+        and all(map(NUMBERED.fullmatch, arrays))
+        and (joined := _joined(list(arrays.values()))) is not None
+    ):
+        return dict(zip(column_names(joined), joined.T, strict=True))
     flat = {key: value.reshape(-1) for key, value in arrays.items() if not value.dtype.names}
     keys = {name.lower(): key for key, (name, _) in zip(flat, meanings(list(flat)), strict=True)}
     if {"x", "y", "z"} <= keys.keys():
@@ -238,6 +246,16 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         for key in find_named(further, names, words):
             columns = {name: column for name, column in columns.items() if name != key.lower()} | {key: further[key]}
     return columns
+
+
+def _joined(arrays: list[np.ndarray]) -> np.ndarray | None:
+    """Return arrays without names side by side, (N, C): those of most points; None for no points."""
+    plain = [array for array in arrays if array.dtype.kind in "fiu" and array.ndim in (1, 2) and len(array)]
+    count = max((len(array) for array in plain), default=0)
+    columns = [array.reshape(count, -1) for array in plain if len(array) == count and array.size <= WIDEST * count]
+    columns = sorted(columns, key=lambda table: table.shape[1] < len(AXES))  # labels behind points
+    joined = np.hstack(columns) if columns else np.empty((0, 0))
+    return joined if 3 <= joined.shape[1] <= WIDEST else None
 
 
 def _fields(rows: np.ndarray) -> dict[str, np.ndarray]:

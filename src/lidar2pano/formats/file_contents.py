@@ -107,8 +107,11 @@ def contents(path: Path) -> bytes:
 
 
 def plain_text(data: bytes) -> bytes:
-    """Return text in UTF-16 as UTF-8, and text in UTF-8 without a mark before it; other bytes as they are."""
+    """Return text in UTF-16 or 32 as UTF-8, and text in UTF-8 without a mark before it; other bytes as they are."""
     begin = data[:64]
+    for mark, encoding in ((codecs.BOM_UTF32_LE, "utf-32-le"), (codecs.BOM_UTF32_BE, "utf-32-be")):
+        if begin.startswith(mark) and len(data) > 8 and ASCII.issuperset(begin[4:].replace(b"\0", b"")):
+            return data[4:].decode(encoding, "ignore").encode()
     if begin.startswith(codecs.BOM_UTF8) and ASCII.issuperset(begin[3:]):
         return data[3:]
     begin = begin[2:] if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else begin

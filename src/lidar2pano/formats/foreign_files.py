@@ -44,7 +44,7 @@ BYTES = {
     rb"DRACO": Foreign("a point cloud packed by Draco", POINTS),
     rb"glTF": Foreign("a glTF scene", POINTS),
     rb"\x89HDF\r\n": Foreign("an HDF5 container", "save its points as NPY or NPZ"),
-    rb"MATLAB 5\.0 MAT-file": Foreign("a MAT-file of MATLAB", "write it there with pcwrite, or as CSV"),
+    rb"MATLAB [57]\.\d MAT-file": Foreign("a MAT-file of MATLAB", "write it there with pcwrite, or as CSV"),
     rb"\xd0\xcf\x11\xe0\xa1\xb1": Foreign("a project of another program", POINTS),
     rb"LASF.{20}(?:\x01[\x05-\xff]|[\x02-\xff])": Foreign("a LAS of a newer version than 1.4", NEWER),
     rb"\x89MCAP[^0]": Foreign("an MCAP of a newer version", NEWER),
@@ -75,7 +75,7 @@ TEXTS = {
     rb"data:[\w/.+-]*;base64,|(?:[\w+/]{60,76}\r?\n){3}": Foreign("base64", "decode it first"),
     rb"\d+\s*\n\d+\s*\n(?:\S+ \S+ \S+\s*\n){4}(?:\S+ \S+ \S+ \S+\s*\n){4}": Foreign("a PTX of Leica", POINTS),
     rb"(?:ST|C|N)*OFF\s|solid |(?:#[^\n]*\n|mtllib[^\n]*\n|\s)*v -?\d": Foreign("a mesh (OFF, STL or OBJ)", POINTS),
-    rb"\s*[{\[]": Foreign("JSON", "write its points as CSV, PCD or NPY"),
+    rb"\s*(?:\{|\[(?![\s\[]*[-+.\d][^\]\n]*\],?\s*\n))": Foreign("JSON", "write its points as CSV, PCD or NPY"),
     rb"%!PS|\{\\rtf|#!/": Foreign("a document or program", OTHER),
 }
 NAMED = {

@@ -110,9 +110,9 @@ def read_header(data: bytes, path: Path) -> Header:
 
 def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     names = entries.get("FIELDS") or entries["COLUMNS"]
-    sizes = [int(size) for size in entries.get("SIZE", ["4"] * len(names))]
-    types = [letter.upper() for letter in entries.get("TYPE", ["F"] * len(names))]
-    counts = [int(count) for count in entries.get("COUNT", ["1"] * len(names))]
+    sizes = [int(size) for size in _one_each(entries, "SIZE", "4", len(names), path)]
+    types = [letter.upper() for letter in _one_each(entries, "TYPE", "F", len(names), path)]
+    counts = [int(count) for count in _one_each(entries, "COUNT", "1", len(names), path)]
     fields, step = [], 0
     for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
         if size not in BYTES[letter] or not 0 <= count <= MOST_HEADER:
@@ -138,6 +138,19 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
         viewpoint=_viewpoint(entries.get("VIEWPOINT", [])),
         claims=claims,
     )
+
+
+def _one_each(entries: dict[str, list[str]], line: str, usual: str, fields: int, path: Path) -> list[str]:
+    """Return the words of a line of the header, one a field: without some, the last fields are the usual ones.
+
+    The length of the data tells whether they are.
+    """
+    words = entries.get(line, [])
+    if len(words) > fields:
+        raise InputError(
+            f"{path}: its header names {fields} FIELDS, but has {len(words)} in {line}; write the file again"
+        )
+    return words + [usual] * (fields - len(words))
 
 
 def _viewpoint(words: list[str]) -> np.ndarray | None:

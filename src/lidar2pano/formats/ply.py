@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
+END = re.compile(rb"end[_ ]header")  # with a space by LSD-SLAM
 MOST_LISTED = 1 << 21  # items with lists, walked one by one
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -21,6 +23,7 @@ TYPES = {
     "double": "f8", "float64": "f8", "int64": "i8", "uint64": "u8",
 }  # fmt: skip
 WRITTEN = {"float32": "float", "uint8": "uchar", "uint16": "ushort"}  # numpy's name -> PLY's
+OF_CARLA = "it is as CARLA writes it, whose y points to the right; it was mirrored, since ours points to the left"
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -72,7 +75,19 @@ def decode(data: bytes, path: Path) -> PointCloud:
             raise InputError(
                 f"{path}: its header says {vertices.count} points, but more follow; the file is damaged or truncated"
             )
-    return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path))
+    doubts = []
+    if is_of_carla(data[:start], vertices):
+        columns["y"], doubts = -columns["y"], [OF_CARLA]
+    return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path), doubts=doubts)
+
+
+def is_of_carla(header: bytes, vertices: Element) -> bool:
+    """Return whether a file is as CARLA writes it: float32 x y z and I, or CosAngle, ObjIdx and ObjTag."""
+    names = [entry.name for entry in vertices.properties]
+    return b"property float32 x" in header and names in (
+        ["x", "y", "z", "I"],
+        ["x", "y", "z", "CosAngle", "ObjIdx", "ObjTag"],
+    )
 
 
 def row_layout(head: bytes, path: Path) -> RowLayout | None:
@@ -92,10 +107,11 @@ def row_layout(head: bytes, path: Path) -> RowLayout | None:
 
 def _whole_header(data: bytes, path: Path) -> tuple[str, list[Element], int, int]:
     """Return the layout, the elements, the place of the vertices among them, and the offset of the content."""
-    end = data.find(b"end_header", 0, MOST_HEADER)
+    found = END.search(data, 0, MOST_HEADER)
+    end = found.start() if found else 0
     start = data.find(b"\n", end) + 1
-    if end < 0 or start < 1:
-        raise InputError(f"{path}: its PLY header has no end; the file is truncated")
+    if not end or start < 1:
+        raise InputError(f"{path}: its PLY header has no end (a line end_header); the file is truncated or no PLY")
     layout, elements = _header(data[:end].decode("latin-1"), path)
     place = next((place for place, element in enumerate(elements) if element.name == "vertex"), None)
     if place is None:
