@@ -223,6 +223,17 @@ def test_a_mean_that_is_done_stays_as_it_is(place):
     assert learned == {"flow"}
 
 
+def test_a_painter_that_goes_on_keeps_the_scale_of_its_latents(place, tmp_path):
+    """Other data have another mean and deviation, which the networks have not learned."""
+    learned = build_task(small(place), place / "set").painter
+    assert not torch.equal(learned.decoder.scale, torch.stack([torch.zeros(4), torch.ones(4)]))
+    learned.decoder.scale += 1
+    save(tmp_path / "learned.safetensors", learned, Card(network="latent-painter", settings=SMALL))
+    start = f"networks.painter.start={tmp_path / 'learned.safetensors'}"
+    scale = build_task(small(place, start), place / "set").painter.decoder.scale
+    torch.testing.assert_close(scale, learned.decoder.scale, rtol=1e-3, atol=0)  # files have half precision
+
+
 def test_a_long_step_is_the_mean_of_two_halves(place):
     """For a network whose velocity is the step's length: two halves of 1/2 give 1/2, and so on."""
     task = build_task(small(place), place / "set")

@@ -104,9 +104,11 @@ class LatentPainting:
         )
         self.logs: dict[str, float | Tensor] = {}
         self._decode_as(autoencoder)
+        if not recipe.networks["painter"].start:  # what starts from weights has learned the latents at its own scale
+            self._measure_scale()
 
     def _decode_as(self, autoencoder: Autoencoder) -> None:
-        """Give the painter the autoencoder's decoder, and the scale of its latents in the training sectors."""
+        """Give the painter the autoencoder's decoder."""
         try:
             self.painter.decoder.decoder.load_state_dict(autoencoder.decoder.state_dict())
         except RuntimeError:
@@ -114,6 +116,9 @@ class LatentPainting:
                 f"options.autoencoder: {self.options.autoencoder} was trained with other settings than the painter's"
                 " latents and decoder; change one of them"
             ) from None
+
+    def _measure_scale(self) -> None:
+        """Give the painter the scale of the latents in the training sectors."""
         sectors = [self.dataset.encoded(index) for index in evenly_spaced(len(self.dataset), MEASURED_ON)]
         latents = torch.cat([sector.latents[:, sector.coverage].float() for sector in sectors], 1)
         if not latents.shape[1]:
