@@ -14,6 +14,7 @@ from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.hidden_cameras import EACH, SYSTEMS, hidden_views, score_hidden, table
+from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import directions
 from lidar2pano.panorama import Panorama
@@ -68,7 +69,11 @@ def test_each_camera_is_hidden_in_turn_and_never_helps_itself(place):
 
 
 def test_scores_say_what_the_other_cameras_bring(place, tmp_path):
-    scores = score_hidden(Grey(), frames(place, "all"), EACH, {}, sheets=tmp_path / "views")
+    coarse = PatchFeatures(lambda images: images[:, :, 2::4, 2::4].float(), 4, 1)
+    scores = score_hidden(
+        Grey(), frames(place, "all"), EACH, {"coarse": coarse, "halved": coarse._replace(shrink=2)},
+        sheets=tmp_path / "views",
+    )  # fmt: skip
     summary = scores.as_dict()
     assert json.loads(json.dumps(summary)) == summary
     alone, helped = (summary["systems"][system] for system in SYSTEMS)
@@ -78,6 +83,8 @@ def test_scores_say_what_the_other_cameras_bring(place, tmp_path):
     )
     ssim = [part["SSIM"][next(iter(part["SSIM"]))]["value"] for part in (alone, helped)]
     assert ssim[1] > ssim[0]
+    apart = [part["feature distance, coarse"]["distance"]["value"] for part in (alone, helped)]
+    assert 0 < apart[1] < apart[0] and "feature distance, halved" not in alone
     assert "| class colour error | " in table(summary) and "6 hidden views" in table(summary)
     paths = sorted((tmp_path / "views").iterdir())
     with Image.open(paths[0]) as sheet:

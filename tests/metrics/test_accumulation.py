@@ -12,7 +12,7 @@ import torch
 
 from lidar2pano.metrics.accumulation import StoredArrays
 from lidar2pano.metrics.confusion import MeanIoU
-from lidar2pano.metrics.frame_metrics import SSIM, DepthError, RollError, SeamRatio, WarpingError
+from lidar2pano.metrics.frame_metrics import SSIM, DepthError, FeatureDistance, RollError, SeamRatio, WarpingError
 from lidar2pano.metrics.frechet import FrechetDistance
 from lidar2pano.metrics.sliced_wasserstein import SlicedWasserstein
 
@@ -49,6 +49,7 @@ class Case(NamedTuple):
 
 CASES = {
     "ssim": Case(SSIM, pair),
+    "features": Case(lambda: FeatureDistance(lambda images: images[:, :, ::4, ::4].float(), 4), pair),
     "classes": Case(lambda: MeanIoU(5, unscored=(0,)), ids),
     "depth": Case(DepthError, lambda name: tuple(drawn(name).uniform(1, 50, (2, 16, 24)))),
     "time": Case(lambda: WarpingError(circular=True), lambda name: (*pair(name), drawn(name).normal(size=(2, 16, 24)))),

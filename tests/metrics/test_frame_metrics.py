@@ -11,7 +11,15 @@ from PIL import Image
 
 from lidar2pano.labels import COMMON14
 from lidar2pano.metrics.confusion import Confusion, MeanIoU
-from lidar2pano.metrics.frame_metrics import SSIM, DepthError, RollError, SeamRatio, WarpingError, ssim_map
+from lidar2pano.metrics.frame_metrics import (
+    SSIM,
+    DepthError,
+    FeatureDistance,
+    RollError,
+    SeamRatio,
+    WarpingError,
+    ssim_map,
+)
 from metric_definitions import depth_slowly, scikit_ssim, seam_slowly, torchmetrics_ssim, warping_slowly
 
 
@@ -49,6 +57,29 @@ def test_ssim_agrees_with_scikit_image_and_torchmetrics(size, change):
     ours = of(SSIM(), predicted, target).compute()
     assert ours == pytest.approx(scikit_ssim(predicted, target), abs=2e-6)
     assert ours == pytest.approx(torchmetrics_ssim(predicted, target)[0], abs=2e-6)
+
+
+@pytest.mark.parametrize("size", [(60, 90), (58, 87)])  # the second is no multiple of a place's four pixels
+def test_feature_distance_is_that_of_unit_vectors_at_known_places(size):
+    """Place by place: only features all of whose pixels are known; a frame without any does not count."""
+    predicted, target = smooth(1, *size), smooth(2, *size)
+    valid = np.ones(size, bool)
+    valid[10, 20], valid[-1, -1] = False, False
+    rows, columns = (-(-length // 4) for length in size)
+    expected = []
+    for row in range(rows):
+        for column in range(columns):
+            if valid[4 * row : 4 * row + 4, 4 * column : 4 * column + 4].all():
+                first, second = (image[4 * row, 4 * column].astype(float) + 1 for image in (predicted, target))
+                cosine = first @ second / np.sqrt((first @ first) * (second @ second))
+                expected.append(2 - 2 * cosine)
+    assert len(expected) == rows * columns - 2
+    metric = FeatureDistance(lambda images: images[:, :, ::4, ::4].float() + 1, 4)
+    metric.update(predicted, target, "frame", valid=valid)
+    assert metric.compute() == pytest.approx(np.mean(expected), abs=1e-6)
+    metric.update(predicted, target, "hidden", valid=np.zeros(size, bool))
+    assert metric.compute() == pytest.approx(np.mean(expected), abs=1e-6)
+    assert of(FeatureDistance(metric.extract, 4), target, target).compute() < 1e-12
 
 
 def test_ssim_map_is_the_inner_part_of_scikit_images():

@@ -18,7 +18,7 @@ from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.metrics.accumulation import FrameMetric, Interval, SetMetric, interval, set_intervals
-from lidar2pano.metrics.frame_metrics import SSIM, ClassColourError
+from lidar2pano.metrics.frame_metrics import SSIM, ClassColourError, FeatureDistance
 from lidar2pano.metrics.frechet import PatchFrechetDistance
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Pipeline
@@ -60,7 +60,7 @@ class HiddenView:
 
 @dataclass(kw_only=True)
 class HiddenScores:
-    """Metrics of the hidden views by system; `patches` are the features of patch Frechet distances."""
+    """Metrics of the hidden views by system; `patches` are the features of patch Frechet and feature distances."""
 
     patches: Mapping[str, PatchFeatures]
     metrics: dict[str, dict[str, FrameMetric | SetMetric]] = field(default_factory=dict)
@@ -73,6 +73,8 @@ class HiddenScores:
             for name, part in self.patches.items():
                 title = f"patch Frechet, {name}"
                 self.metrics[system][title] = PatchFrechetDistance(part.extractor, part.down, part.shrink)
+                if part.shrink == 1:
+                    self.metrics[system][f"feature distance, {name}"] = FeatureDistance(part.extractor, part.down)
 
     def add(self, view: HiddenView) -> None:
         """Count a view."""
@@ -82,7 +84,7 @@ class HiddenScores:
                 if isinstance(metric, ClassColourError):
                     classes = np.where(view.invented, view.classes, 0) if title == INVENTED else view.classes
                     metric.update(image, view.real, classes, view.name)
-                elif isinstance(metric, SSIM | PatchFrechetDistance):
+                elif isinstance(metric, SSIM | PatchFrechetDistance | FeatureDistance):
                     metric.update(image, view.real, view.name, valid=view.valid)
 
     def as_dict(self) -> dict[str, Any]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d, max_pool2d
+from torch.nn.functional import conv2d, max_pool2d, normalize, pad
 
 from lidar2pano.geometry.camera import Lookup
 from lidar2pano.labels import COMMON15
@@ -152,6 +154,35 @@ def _similarity(means: Tensor) -> Tensor:
     mean_a, mean_b = mean_a + RANGE / 2, mean_b + RANGE / 2
     luminance = (2 * mean_a * mean_b + c1) / (mean_a * mean_a + mean_b * mean_b + c1)
     return luminance * (2 * covariance + c2) / (variances + c2)
+
+
+class FeatureDistance(FrameMetric):
+    """Distance of an image from the real one by the features of a network, in [0, 2] for features of no sign.
+
+    Zhang et al. 2018 (LPIPS), equation 1, at one depth and without learned weights: the squared difference of the
+    features at a place, each of length 1, as a mean over an image's places and then over the frames.
+    """
+
+    def __init__(self, extract: Callable[[Tensor], Tensor], down: int) -> None:
+        """extract: (B, 3, H, W) uint8 -> (B, D, H / down, W / down) float features."""
+        super().__init__("distance", "frames")
+        self.extract, self.down = extract, down
+
+    def update(self, predicted: Array, target: Array, name: str, *, valid: Array | None = None) -> None:
+        """Count the frame `name`: images (H, W, 3) uint8; places with a pixel not `valid` (H, W) do not count."""
+        pair = image_pair(predicted, target)
+        with torch.inference_mode():
+            first, second = (normalize(self.extract(image[None])[0].float(), dim=0) for image in pair)
+        distances = (first - second).square().sum(0).cpu()
+        mask = mask_tensor(valid, pair[0].shape[1:], "valid")
+        if mask is not None:
+            holes = pad((~mask).float()[None], (0, -mask.shape[1] % self.down, 0, -mask.shape[0] % self.down))
+            distances = distances[max_pool2d(holes, self.down)[0] == 0]
+        self._keep(name, float(distances.double().mean()) if distances.numel() else 0.0, float(distances.numel() > 0))
+
+    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the mean over frames."""
+        return {"distance": sums[..., 0] / sums[..., 1]}
 
 
 # --- depth ------------------------------------------------------------------------------------------------------------
