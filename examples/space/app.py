@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 from PIL import Image
@@ -36,7 +37,8 @@ def page() -> Any:
         try:
             return paint(file)
         except lidar2pano.InputError as error:
-            raise gradio.Error(str(error)) from None
+            place = f"{Path(file).parent}/" if file else ""  # on the server, which is nobody's concern
+            raise gradio.Error(str(error).replace(place, "")) from None
 
     return gradio.Interface(
         fn=answer,

@@ -95,7 +95,7 @@ def test_the_spaces_page_says_a_mistake_in_one_line(space, tmp_path, monkeypatch
     answer = space["page"]()["fn"]
     assert answer(None)[2].startswith("Panorama('street'")
     (tmp_path / "rubbish.bin").write_bytes(b"rubbish")
-    with pytest.raises(Error, match=r"rubbish.bin: ") as caught:
+    with pytest.raises(Error, match=r"^rubbish.bin: ") as caught:
         answer(str(tmp_path / "rubbish.bin"))
     assert "\n" not in str(caught.value)
 
