@@ -83,7 +83,7 @@ class Pipeline:
 
     def __repr__(self) -> str:
         """Return networks, raster, device and engine, without the layers."""
-        networks = [f"{card.network} ({card.recipe})" for card in self.cards.values()] or ["networks without cards"]
+        networks = [card.network for card in self.cards.values()] or ["networks without cards"]
         raster = f"{self.view.rows} x {self.view.columns}"
         return f"{type(self).__name__}({' -> '.join(networks)}, {raster}, {self.device.type}, {self.engine})"
 
