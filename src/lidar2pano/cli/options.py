@@ -137,7 +137,7 @@ ProjectionOption = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="Projection of the pictures: cylinder, equirectangular (photo spheres for other viewers) or cubemap.",
+        help="Projection of the panoramas: cylinder, equirectangular (photo spheres for other viewers) or cubemap.",
     ),
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
