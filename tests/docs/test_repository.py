@@ -65,6 +65,14 @@ def test_scores_that_were_not_measured_are_dashes(tmp_path):
     assert page.endswith("## Times\n\nno time\n")
 
 
+def test_times_of_a_busy_machine_are_refused():
+    check_idle = runpy.run_path(str(ROOT / "runs" / "results.py"))["check_idle"]
+    check_idle("device cpu, threads 2, engine openvino, others 10%\n")
+    check_idle("no times\n")
+    with pytest.raises(SystemExit, match="others took 11 %"):
+        check_idle("device cpu, threads 2, engine openvino, others 11%\n")
+
+
 def test_the_time_is_that_of_the_whole_panorama():
     time_of = runpy.run_path(str(ROOT / "runs" / "readme.py"))["time_of"]
     text = (

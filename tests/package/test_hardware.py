@@ -76,3 +76,25 @@ def test_inference_computes_in_bfloat16_where_no_gradients_flow(monkeypatch):
             assert hardware.inference_dtype(cpu) == torch.bfloat16
     with torch.inference_mode():
         assert hardware.inference_dtype(cpu) == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("line", "share"),
+    [
+        ("cpu 400 0 0 600 0 0 0 0 0 0", 0.4),  # all of it others'
+        ("cpu 200 100 60 600 0 20 10 10 50 50", 0.4),  # guests are within user's
+        ("cpu 0 0 0 900 100 0 0 0 0 0", 0.0),  # waiting for disks
+    ],
+)
+def test_work_of_others_is_told_from_ones_own(monkeypatch, tmp_path, line, share):
+    stat = tmp_path / "stat"
+    monkeypatch.setattr(hardware, "Path", lambda _: stat)
+    monkeypatch.setattr(hardware.os, "times", lambda: (0.0,) * 5)
+    stat.write_text("cpu 0 0 0 0 0 0 0 0 0 0\ncpu0 1\n")
+    others = hardware.OtherWork()
+    stat.write_text(f"{line}\n")
+    assert others.share() == pytest.approx(share)
+    monkeypatch.setattr(hardware.os, "times", lambda: (1.0, 1.0, 0.5, 0.5, 9.0))  # 3 s of 10 are one's own
+    assert others.share() == pytest.approx(max(share - 0.3, 0))
+    stat.unlink()
+    assert others.share() is None and hardware.OtherWork().share() is None, "no Linux"

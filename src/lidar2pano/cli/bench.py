@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import announced, print_weights
+from lidar2pano.cli.console import announced, print_note, print_weights
 from lidar2pano.cli.options import DeviceOption, check_file, write_json
 
 
@@ -37,12 +37,13 @@ def bench(
     """Time projection, clean-up, the Lovasz loss and every stage of the pipeline, or count tensor operations."""
     from lidar2pano import bench as measures
     from lidar2pano.engines import pick_engine
-    from lidar2pano.hardware import keep_buffers, pick_device
+    from lidar2pano.hardware import BUSY, OtherWork, keep_buffers, pick_device
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import weight_files
 
     if as_json:
         check_file(as_json, "--json")
+    others = OtherWork()
     with announced(0, "measuring, which takes minutes"):
         if world:
             settings = {"device": "cpu", "runs": runs, "processes": processes}
@@ -70,6 +71,11 @@ def bench(
                 text = measures.table(rows)
             if name:
                 print_weights("", map(read_card, weight_files(name).values()))
+    share = others.share()
+    if share is not None and not operations:
+        settings["others"] = f"{share:.0%}"
+        if share > BUSY:
+            print_note(f"other processes took {share:.0%} of the processors: on an idle machine it is faster")
     if as_json:
         write_json(as_json, settings | {"rows": [asdict(row) for row in rows]}, "--json")
     words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in settings.items())
