@@ -29,6 +29,14 @@ def time_of(results: str) -> tuple[str, str]:
     return time[1], threads[1]
 
 
+def arithmetic_of(results: str) -> str:
+    """Return the engine and arithmetic of the table of times: what a machine without them does not reach."""
+    line = re.search(r"^device cpu.*$", results, flags=re.MULTILINE)
+    values = dict(re.findall(r"(\w+) (\w+)(?:, |$)", line[0])) if line else {}
+    engine = {"openvino": "OpenVINO, extra `fast`"}.get(values.get("engine", ""), values.get("engine", "torch"))
+    return f"{engine}; {'bfloat16 in hardware' if values.get('bfloat16') == 'True' else 'float32'}"
+
+
 def peak_mib() -> float:
     """Return the largest resident memory of `lidar2pano demo`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -53,7 +61,7 @@ def costs(results: str, memory_mib: float) -> str:
     """Return the table, with its markers."""
     milliseconds, threads = time_of(results)
     rows = [
-        ("time", f"{float(milliseconds) / 1000:.1f} s per panorama on {threads} CPU cores"),
+        ("time", f"{float(milliseconds) / 1000:.1f} s per panorama on {threads} CPU cores ({arithmetic_of(results)})"),
         ("memory", f"{memory_mib / 1024:.1f} GiB at most, for `demo`"),
         ("download", "none: the weights are part of the package"),
         ("licence", f"code Apache-2.0; weights {licences()}"),

@@ -79,6 +79,10 @@ def test_the_time_is_that_of_the_whole_panorama():
         "device cpu, threads 4, runs 9\n\n| stage save | 5.0 | 4 |  |\n| whole panorama | 1161.4 | 1117.6 | < 1500 |\n"
     )
     assert time_of(text) == ("1161.4", "4")
+    arithmetic_of = runpy.run_path(str(ROOT / "runs" / "readme.py"))["arithmetic_of"]
+    assert arithmetic_of(text) == "torch; float32"
+    line = "device cpu, threads 2, bfloat16 True, torch 2.13.0+cpu, buffers kept True, engine openvino, others 3%"
+    assert arithmetic_of(f"# Results\n{line}\n") == "OpenVINO, extra `fast`; bfloat16 in hardware"
     with pytest.raises(SystemExit, match="whole panorama"):
         time_of("device cuda, threads 4\n| whole panorama | 1.0 | 1 | |\n")
 

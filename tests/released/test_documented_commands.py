@@ -37,6 +37,7 @@ LINES = [line for page in TASKS for line in shell_lines(page, PAGES[page])]
 
 NOT_RUN = {  # beginning of a line -> why no test types it
     "python -m venv": "makes the environment that the tests run in",
+    "git clone": "there is no network",
     "pip install": "installs from an index; `make setup-dev` has installed all extras",
     "conda create": "likewise",
     "uv venv": "likewise",
