@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 @app.command(epilog=f"Recipes (-mini: minutes on two CPU cores): {', '.join(RECIPES)}.")
 def train(
     recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="Name of a recipe (list below), e.g. titan-pano.")],
-    data: Annotated[Path, typer.Option(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
+    data: Annotated[
+        Path,
+        typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, KITTI-360, nuScenes or PandaSet."),
+    ],
     out: Annotated[Path, typer.Option(metavar="RUN", help="The run's folder; one that exists is resumed.")],
     changes: Annotated[
         list[str] | None, typer.Option("--set", metavar="A.B=C", help="Change a value of the recipe; repeatable.")
