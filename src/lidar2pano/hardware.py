@@ -12,6 +12,7 @@ from pathlib import Path
 
 import torch
 
+from lidar2pano.bounded_files import read_text
 from lidar2pano.errors import InputError
 
 
@@ -62,6 +63,7 @@ class Timer:
         self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
 
 
+PROCESSOR_TIMES = Path("/proc/stat")  # of Linux
 BUSY = 0.1  # of the processors: taken by others, it moves a time of two threads by as much
 
 
@@ -82,7 +84,7 @@ class OtherWork:
 def _processor_seconds() -> tuple[float, float, float] | None:
     """Return the seconds of all processors with other processes, with this one, and idle."""
     try:
-        line = Path("/proc/stat").read_text(encoding="ascii").partition("\n")[0].split()
+        line = read_text(PROCESSOR_TIMES).partition("\n")[0].split()
         ticks_per_s = os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, AttributeError):
         return None

@@ -88,7 +88,7 @@ def test_inference_computes_in_bfloat16_where_no_gradients_flow(monkeypatch):
 )
 def test_work_of_others_is_told_from_ones_own(monkeypatch, tmp_path, line, share):
     stat = tmp_path / "stat"
-    monkeypatch.setattr(hardware, "Path", lambda _: stat)
+    monkeypatch.setattr(hardware, "PROCESSOR_TIMES", stat)
     monkeypatch.setattr(hardware.os, "times", lambda: (0.0,) * 5)
     stat.write_text("cpu 0 0 0 0 0 0 0 0 0 0\ncpu0 1\n")
     others = hardware.OtherWork()

@@ -47,7 +47,7 @@ def bench(
 
     if as_json:
         check_file(as_json, "--json")
-    others = OtherWork()
+    other_work = OtherWork()
     with announced(0, "measuring, which takes minutes"):
         if world:
             settings = {"device": "cpu", "runs": runs, "processes": processes}
@@ -75,7 +75,7 @@ def bench(
                 text = measures.table(rows)
             if name:
                 print_weights("", map(read_card, weight_files(name).values()))
-    settings |= {} if operations else _share(others)
+    settings |= {} if operations else _share(other_work)
     _report(settings, rows, text, as_json)
 
 
@@ -87,11 +87,11 @@ def _report(settings: dict[str, Any], rows: Sequence[Any], text: str, as_json: P
     print(f"{words}\n\n{text}")
 
 
-def _share(others: OtherWork) -> dict[str, str]:
+def _share(other_work: OtherWork) -> dict[str, str]:
     """Return the share of the processors that other work took, for the conditions; note a large one."""
     from lidar2pano.hardware import BUSY
 
-    share = others.share()
+    share = other_work.share()
     if share is None:
         return {}
     if share > BUSY:

@@ -319,9 +319,9 @@ def score_row(
     row_system = system(plan.chain(row), device=plan.device)
     painter = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
     write_images(plan.out / "images" / name, row_system, scored, config, painter)
-    others = OtherWork()
+    other_work = OtherWork()
     evaluation = score([row_system], scored, data=plan.data.resolve().name, split=plan.split, config=config)
-    result = report.as_dict(evaluation) | {"others": others.share()}
+    result = report.as_dict(evaluation) | {"others": other_work.share()}
     text = json.dumps({"key": key, "result": result}, indent=1)
     write_text(path, text)
     return result
