@@ -86,6 +86,20 @@ DAMAGES = {
 }
 
 
+def test_a_run_removes_its_own_older_checkpoints_and_nothing_else(finished, tmp_path, monkeypatch):
+    """A process killed before it could remove the last but one leaves two; copies that a user made stay."""
+    for table, name, value in entries():
+        monkeypatch.setitem(table, name, value)
+    run = tmp_path / "run"
+    shutil.copytree(finished, run)
+    kept = ["000000001 (copy)", "000000002_good", "0x5", "mine"]
+    for name in (*kept, "000000001", "000000001.old", "000000007.part"):
+        shutil.copytree(run / "checkpoints" / "000000002", run / "checkpoints" / name)
+    for steps in (2, 3):
+        train(toy_recipe("toy", steps=steps), Path(), run, device="cpu")
+        assert sorted(path.name for path in (run / "checkpoints").iterdir()) == sorted([*kept, f"{steps:09d}"])
+
+
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_a_damaged_checkpoint_is_an_input_error(finished, tmp_path, damage):
     run = shutil.copytree(finished, tmp_path / "run")

@@ -46,6 +46,7 @@ FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "previe
 LIMITS = ("training.steps", "training.epochs", "training.minutes")  # may grow
 MOST_NAMED = 12  # differences between recipes
 CHECKPOINT = re.compile(r"[0-9]{9,18}(\.old)?")  # names of folders
+OURS = re.compile(r"[0-9]{9,18}(\.old|\.part)?")  # and of unfinished ones
 BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
 
 
@@ -84,7 +85,7 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
     if not os.access(run, os.W_OK | os.X_OK):
         raise InputError(f"{run}: cannot be written (permission denied); name another folder")
     path = run / "recipe.json"
-    if not path.exists() or not _checkpoints(run):
+    if not path.exists() or not newest_checkpoint(run):
         return
     recorded = read_json(path, "repair it or train into another folder")
     if not isinstance(recorded, dict):
@@ -199,16 +200,21 @@ def save_checkpoint(
 
 
 def _exchange(part: Path, final: Path) -> None:
-    """Make `beside` the folder `final` and remove every other checkpoint."""
+    """Make `part` the folder `final` and remove every other checkpoint."""
     folder = final.parent
     if final.exists():  # the same step again, with another clock or score
         aside = folder / f"{final.name}.old"
         shutil.rmtree(aside, ignore_errors=True)
         final.replace(aside)
     part.replace(final)
-    for folder_left in folder.iterdir():
-        if folder_left != final:
-            shutil.rmtree(folder_left, ignore_errors=True)
+    remove_others(final)
+
+
+def remove_others(final: Path) -> None:
+    """Remove every checkpoint but `final`, finished or not; folders of other names are not ours."""
+    for folder in final.parent.iterdir():
+        if folder != final and OURS.fullmatch(folder.name):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def check_weights(weights: Mapping[str, Tensor], step: int) -> None:
@@ -227,19 +233,20 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be written ({reason}); mend that and repeat the command to go on") from None
 
 
-def _checkpoints(run: Path) -> list[Path]:
+def newest_checkpoint(run: Path) -> Path | None:
+    """The folder of the run's last checkpoint, if there is one."""
     folder = run / "checkpoints"
-    return [path for path in folder.glob("[0-9]*") if CHECKPOINT.fullmatch(path.name)] if folder.is_dir() else []
+    found = [path for path in folder.iterdir() if CHECKPOINT.fullmatch(path.name)] if folder.is_dir() else []
+    return max(found, key=lambda path: (int(path.stem), path.suffix == ""), default=None)
 
 
 def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
     """The run's newest checkpoint (tensors on the CPU), or None; a damaged one raises InputError."""
-    folders = _checkpoints(run)
-    if not folders:
+    newest = newest_checkpoint(run)
+    if newest is None:
         return None
-    newest = max(folders, key=lambda path: (int(path.stem), path.suffix == ""))
     try:
-        progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
+        progress = validated(Progress, read_json(newest / "state.json", "it was not written whole"), "state.json")
         weights = read_tensors(newest / "weights.safetensors", "it cannot be resumed")
         check_weights(weights, progress.step)
         optimizers = load_torch(newest / "optimizers.pt")

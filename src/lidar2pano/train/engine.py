@@ -32,7 +32,9 @@ from lidar2pano.train.checkpoint import (
     claimed,
     load_checkpoint,
     make_card,
+    newest_checkpoint,
     release,
+    remove_others,
     save_checkpoint,
     trained_on,
     write_recipe,
@@ -175,6 +177,9 @@ class Run:
             raise InputError(
                 f"{self.out}/checkpoints: does not fit the recipe's networks ({reason}); remove it to start again"
             ) from None
+        newest = newest_checkpoint(self.out)
+        if newest and self.fabric.is_global_zero:
+            remove_others(newest)  # a process that was killed left them
 
     def go_on(self) -> None:
         """Train to the end of the budget; an interrupt saves a checkpoint and raises KeyboardInterrupt."""
