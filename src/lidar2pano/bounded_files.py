@@ -14,7 +14,9 @@ from pathlib import Path
 
 from lidar2pano.errors import InputError
 
-MOST_TEXT_BYTES = 1 << 26  # of JSON, calibrations, poses, times: 64 MiB list a million frames
+MOST_TEXT_BYTES = 1 << 26  # of JSON and of times: 64 MiB list a million frames
+MOST_LINES = 1 << 20  # of such a text: each becomes an object of a hundred bytes or two
+MOST_CALIBRATION_BYTES = 1 << 18  # of calibrations and settings, which have some kilobytes
 
 
 def open_regular(path: str | Path) -> io.FileIO:
@@ -73,6 +75,14 @@ def read_bytes(path: str | Path, most: int) -> bytes:
 def read_text(path: str | Path, most: int = MOST_TEXT_BYTES) -> str:
     """Read the UTF-8 text of a regular file; raises UnicodeDecodeError (a ValueError), and OSError as `read_bytes`."""
     return read_bytes(path, most).decode("utf-8")
+
+
+def read_lines(path: str | Path, most: int = MOST_TEXT_BYTES) -> list[str]:
+    """Read the lines of a text; more than MOST_LINES raise OSError, and what `read_text` raises."""
+    text = read_text(path, most)
+    if text.count("\n") > MOST_LINES:
+        raise OSError(errno.EFBIG, f"it has more than {MOST_LINES} lines", str(path))
+    return text.split("\n")
 
 
 def read_input(path: str | Path, mend: str, most: int = MOST_TEXT_BYTES) -> bytes:

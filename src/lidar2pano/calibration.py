@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from lidar2pano.bounded_files import read_text
+from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, read_text
 from lidar2pano.errors import InputError
 
 ROTATION_TOLERANCE = 1e-3  # of R R^T from 1; KITTI writes 7 to 13 digits
@@ -352,7 +352,7 @@ def _rows(path: Path) -> dict[str, str]:
     rows: dict[str, str] = {}
     for file in files:
         try:
-            text = read_text(file)
+            text = read_text(file, MOST_CALIBRATION_BYTES)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{file}: cannot be read as calib.txt ({_reason(error)}); name KITTI's file") from error
         lines = [ROW.fullmatch(line.strip()) for line in text.splitlines() if line.strip()]

@@ -191,7 +191,7 @@ def sectors(here: Path) -> tuple[Path, list[str]]:
 
 
 def videos(here: Path) -> tuple[Path, list[str]]:
-    clips = ["options.clip_length=4", "options.rows=32", "options.columns=48", "options.single_frame_splits="]
+    clips = ["options.clip_length=5", "options.rows=32", "options.columns=48", "options.single_frame_splits="]
     changes = ["scale=1.0", "data.train=train", *clips]
     return miniature_video.write_video(here / "data", panorama=True), changes
 

@@ -271,6 +271,51 @@ def test_a_valid_scan_takes_six_times_its_size_at_most(tmp_path, name):
     assert mib < BASE_MIB + 6 * size / (1 << 20), (mib, size >> 20)
 
 
+TEXTS = """
+import sys, time
+from pathlib import Path
+from lidar2pano.calibration import read_calib
+from lidar2pano.data.poses import read_poses
+from lidar2pano.drives import drive_motion, folders, viewpoints
+from lidar2pano.errors import InputError
+from lidar2pano.formats.yaml_files import read_document
+
+def peak():
+    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) >> 10
+
+here, begin = Path(sys.argv[1]), peak()
+document = lambda path: read_document(path, "mend it")
+times = lambda path: folders.times([here / "0.bin"])
+for name, unit, read in [
+    ("lists.json", "[],", document), ("objects.json", '{"a":0},', document), ("texts.json", '"ab",', document),
+    ("a.yaml", "- {a: b}\\n", document), ("times.txt", "0\\n", times), ("timestamps.json", "{},", times),
+    ("oxts.txt", "0 ", drive_motion._oxts_numbers), ("calib.txt", "P2: 0\\n", read_calib),
+    ("poses.txt", "1\\n", lambda path: read_poses(path, 12, "12 numbers")), ("one-line.txt", "1 ", read_calib),
+    ("places.csv", "1,\\n", lambda path: viewpoints._read_places(path, None)),
+]:
+    with (here / name).open("w") as file:
+        file.write("[" * name.endswith("json"))
+        for _ in range(66):
+            file.write(unit * (1_000_000 // len(unit)))
+        file.write(unit[:-1] + "]" if name.endswith("json") else unit)
+    try:
+        read(here / name)
+    except InputError as error:
+        print(name, str(error).count("\\n"), file=sys.stderr)
+    (here / name).unlink()
+print(peak() - begin, file=sys.stderr)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells how much memory a process has")
+def test_texts_of_many_values_cost_little(tmp_path):
+    """Texts that the program itself reads: 66 MB of shortest values, which would become two GiB of objects."""
+    code, error, seconds, _ = cost(str(tmp_path), python=TEXTS)
+    *refused, mib = error.splitlines()
+    assert code == 0 and [line.split()[1] for line in refused] == 11 * ["0"], error
+    assert int(mib) < LIMIT_MIB and seconds < 2 * LIMIT_S, (seconds, mib)  # of eleven texts
+
+
 # --- the gate ---------------------------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.bounded_files import read_input
+from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, read_input
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.data.cache import cached_by_files
 from lidar2pano.data.frames import (
@@ -297,7 +297,7 @@ def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
 def read_calibration(path: Path) -> str:
     """Return the text of a file; InputError if it is missing or no text."""
     try:
-        return read_input(path, "complete the data set").decode("utf-8")
+        return read_input(path, "complete the data set", MOST_CALIBRATION_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read (not text); complete the data set") from error
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lidar2pano.bounded_files import read_text
+from lidar2pano.bounded_files import read_lines
 from lidar2pano.calibration import ROTATION_TOLERANCE, read_camera0
 from lidar2pano.data.cache import cached_by_files
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
 FAR_M = 100.0  # points beyond are not used to estimate poses
+MOST_POSES_BYTES = 1 << 25  # two hundred thousand lines, six hours
 FARTHEST_M = 1e8  # a place is at most so far from any origin
 
 
@@ -71,7 +71,7 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
     Raises InputError if the file is missing or damaged, or a line holds no pose.
     """
     try:
-        lines = np.loadtxt(io.StringIO(read_text(path)), ndmin=2)
+        lines = np.loadtxt(read_lines(path, MOST_POSES_BYTES), ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
     poses = lines[:, -12:]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.bounded_files import open_regular, read_text
+from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, open_regular, read_text
 from lidar2pano.calibration import read_mount
 from lidar2pano.data.poses import Poses, odometry
 from lidar2pano.drives.folders import times
@@ -173,7 +173,7 @@ def oxts_motion(scan_file: Path) -> SensorMotion | None:
 def _oxts_numbers(path: Path) -> np.ndarray:
     """Return latitude and longitude in degrees, altitude in metres, roll, pitch and yaw in radians."""
     try:
-        numbers = np.array(read_text(path).split(), dtype=np.float64)
+        numbers = np.array(read_text(path, MOST_CALIBRATION_BYTES).split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as a pose ({error}); take it from the data set") from error
     if numbers.size != OXTS_NUMBERS or not np.isfinite(numbers[:6]).all() or abs(numbers[0]) > 89:

@@ -12,7 +12,7 @@ from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from lidar2pano.bounded_files import read_text
+from lidar2pano.bounded_files import read_lines
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import is_table
 from lidar2pano.formats.file_contents import PACKED, head_of, stem_of
@@ -90,7 +90,7 @@ def times(files: Sequence[Path]) -> list[float] | None:
 def _listed_times(path: Path, files: Sequence[Path]) -> list[float]:
     """Return each scan's line of a file of times: by its number, from 0; the n-th for scans without numbers."""
     try:
-        lines = read_json(path) if path.suffix == ".json" else read_text(path).split("\n")
+        lines = read_json(path) if path.suffix == ".json" else read_lines(path)
         stamps_s = [_seconds(line) for line in lines if str(line).strip()]
     except InputError:
         raise

@@ -40,6 +40,7 @@ MOST_HELD = 1 << 20  # points added before they are thinned out again
 MOST_SWEEP = 1 << 20  # points; the densest LiDAR's sweep has 0.6 million: more are a map
 FEWEST = 500  # points in view; with fewer there is nothing to be seen
 FORM = "is not of the form X,Y,Z in metres, nor a file with the columns x, y, z and, if you like, heading and name"
+MOST_PLACES_BYTES = 1 << 20  # some ten thousand lines
 COLUMNS = ("x", "y", "z", "heading", "name")
 NAME = re.compile(r"\w(?:[\w -]*\w)?")
 
@@ -91,7 +92,7 @@ def parse_places(text: str, heading_deg: float = 0.0) -> list[Place]:
 
 
 def _read_places(path: Path, heading_deg: float) -> list[Place]:
-    lines = read_input(path, "name a file of places").decode("utf-8-sig", "replace").splitlines()
+    lines = read_input(path, "name a file of places", MOST_PLACES_BYTES).decode("utf-8-sig", "replace").splitlines()
     rows = [re.split(r"\s*[,;\t]\s*", line.strip()) for line in lines if line.strip() and line[0] != "#"]
     header = list(COLUMNS)
     if rows and not any(map(_is_number, rows[0])):

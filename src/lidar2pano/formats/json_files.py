@@ -17,6 +17,9 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 from lidar2pano.bounded_files import MOST_TEXT_BYTES, open_regular, read_input
 from lidar2pano.errors import InputError, closest
 
+MOST_BUILT_BYTES = 1 << 28  # of a text and of the objects that its values become
+# Bytes of an object that begins with a character, in CPython: dictionary, list, number and its place, text (of two).
+OBJECT_BYTES = {"{": 240, "[": 64, ",": 32, '"': 25}
 DEEPEST = 64  # lists and objects within each other
 LARGEST = 2**63  # of whole numbers
 BLOCK_BYTES = 1 << 22  # of a table are read at a time: nuScenes' sample_data.json has 2.6 million rows in 1.2 GB
@@ -45,12 +48,14 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan: bool = False) -> Any:
     """Return the value of a JSON text; `source` begins the message of its InputError.
 
-    Refused are texts over MOST_TEXT_BYTES, values nested deeper than DEEPEST, and numbers not finite or, whole
-    ones, beyond LARGEST.
+    Refused are texts over MOST_TEXT_BYTES or of many values (MOST_BUILT_BYTES), values nested deeper than DEEPEST, and
+    numbers not finite or, whole ones, beyond LARGEST.
     nan  whether NaN and Infinity pass all the same: nuScenes' files have them in unused fields.
     """
     if len(data) > MOST_TEXT_BYTES:
         raise InputError(f"{source}: has {len(data)} characters of JSON, at most {MOST_TEXT_BYTES} are read; {mend}")
+    if _built_bytes(data) > MOST_BUILT_BYTES:
+        raise InputError(f"{source}: has JSON of more values than {MOST_BUILT_BYTES >> 20} MiB hold; {mend}")
     try:
         value = json.loads(data, parse_constant=float if nan else _refuse, parse_float=_finite, parse_int=_whole)
     except RecursionError:
@@ -60,6 +65,14 @@ def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan:
     if _depth(value) > DEEPEST:
         raise InputError(f"{source}: is no JSON (nested too deeply); {mend}")
     return value
+
+
+def _built_bytes(data: str | bytes) -> int:
+    """Return the memory that a JSON text and its values take, about; characters within its texts count, too."""
+    built = len(data)
+    for mark, size in OBJECT_BYTES.items():
+        built += size * (data.count(mark) if isinstance(data, str) else data.count(mark.encode()))
+    return built
 
 
 def json_lines(data: bytes) -> Iterator[dict[str, Any]]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from lidar2pano.bounded_files import read_input
+from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, read_input
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json
 
@@ -31,7 +31,7 @@ def read_document(path: Path, mend: str) -> Any:  # noqa: ANN401
     """Read a file of JSON (by its ending) or YAML, OpenCV's among it; InputError "PATH: is no YAML (REASON); MEND"."""
     if path.suffix.lower() == ".json":
         return read_json(path, mend, nan=True)
-    data = read_input(path, mend)
+    data = read_input(path, mend, MOST_CALIBRATION_BYTES)  # 4 s of its parser
     try:
         lines = data.decode().splitlines()
         lines = lines[1:] if lines and lines[0].startswith("%YAML") else lines  # OpenCV's is no YAML
