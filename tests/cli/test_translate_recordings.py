@@ -18,6 +18,7 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from lidar2pano.cli import main
+from lidar2pano.drives import reading as drive_reading
 from lidar2pano.drives.reading import follow_folder
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -291,6 +292,12 @@ def early():
     before = signal.signal(signal.SIGTERM, lambda number, _: found.append(number))
     yield found
     signal.signal(signal.SIGTERM, before)
+
+
+def test_a_clock_that_jumps_completes_no_file(tmp_path, monkeypatch):
+    write_bin(tmp_path / "a.bin", scan(0))
+    monkeypatch.setattr("time.time", lambda: 1e12)
+    assert not drive_reading._settled_files(tmp_path, {}, {})
 
 
 def test_follow_leaves_handlers_as_they_were(tmp_path, translate, early):

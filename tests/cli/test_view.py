@@ -64,6 +64,12 @@ def test_saved_panoramas_become_a_page(here, run, opened):
     assert f"<title>{here.name}/saved</title>" in (here / "view.html").read_text(encoding="utf-8")
 
 
+def test_a_panorama_may_be_of_any_year(here, run, opened):
+    small_panorama(0).save("saved", ("rgb",), stem="a")
+    os.utime("saved/a.png", (1e12, 1e12))
+    assert run("view", "saved") == (0, "view.html\n", [])
+
+
 def test_scans_are_translated_into_a_page(here, run, opened):
     for name in ("1", "2"):
         write_scan(here / "drive" / f"{name}.bin")

@@ -133,6 +133,10 @@ def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp
     assert json.loads((plan.data / "splits.json").read_text()) == listing
     with pytest.raises(InputError, match="all frames of `train` are in `all`, which is scored"):
         training_data(replace(plan, split="all"))
+    (folder / "sequences").unlink()
+    (folder / "sequences").symlink_to(tmp_path)
+    with pytest.raises(InputError, match="sequences: is no link to .*data/sequences; remove it"):
+        training_data(plan)
 
 
 def result(steps=1000, low=None, high=None, frames=50, painter=2000, **values):

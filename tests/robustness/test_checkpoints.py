@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import time
@@ -116,6 +117,12 @@ def test_settings_that_an_optimiser_saved_are_not_used(finished, tmp_path):
     train(toy_recipe("toy", steps=3), Path(), run, device="cpu")
     (folder,) = (run / "checkpoints").iterdir()
     assert json.loads((folder / "state.json").read_text())["step"] == 3
+
+
+def test_no_link_can_be_planted_in_the_place_of_a_runs_curves(finished):
+    """Their files have names that nobody can foretell."""
+    (curves,) = (finished / "tensorboard").iterdir()
+    assert re.search(r"\.[0-9a-f]{16}$", curves.name)
 
 
 def test_a_second_process_in_a_run_is_refused_and_leaves_it_alone(finished, tmp_path):

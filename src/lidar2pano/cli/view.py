@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -85,7 +85,7 @@ def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
             for file in panoramas:
                 writer.add(read_frame(file))
                 advance()
-        made = datetime.fromtimestamp(panoramas[0].stat().st_mtime, UTC)
-        writer.facts = (f"made {made:%Y-%m-%d}",)
+        with suppress(ValueError, OverflowError, OSError):  # a file's time may lie in any year
+            writer.facts = (f"made {datetime.fromtimestamp(panoramas[0].stat().st_mtime, UTC):%Y-%m-%d}",)
         print(writer.write(out))
     return 0

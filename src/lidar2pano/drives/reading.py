@@ -349,7 +349,8 @@ def _settled_files(
 ) -> list[tuple[Path, Version, float]]:
     """List complete files, not taken in this version: path, version, seconds since the last change.
 
-    first_look  when each version of a file was first seen, by our own clock: a file server's may be ahead of it.
+    first_look  when each version of a file was first seen, by a clock that does not jump; a file's own time is no
+                evidence.
     """
     try:
         files = drive_files(folder, ReadOptions())
@@ -368,7 +369,7 @@ def _settled_files(
             continue
         if first_look.get(file, (None, 0.0))[0] != version:
             first_look[file] = version, now_s
-        age_s = max(time.time() - status.st_mtime, now_s - first_look[file][1])
+        age_s = now_s - first_look[file][1]
         if age_s >= SETTLED_S:
             settled.append((file, version, age_s))
     return settled

@@ -144,11 +144,20 @@ def training_data(plan: Plan) -> Path:
     folder = plan.out / "data"
     folder.mkdir(parents=True, exist_ok=True)
     for path in plan.data.resolve().iterdir():
-        if path.name != "splits.json" and not (folder / path.name).is_symlink():
-            (folder / path.name).symlink_to(path)
+        if path.name != "splits.json":
+            _link(folder / path.name, path)
     text = json.dumps(rest, indent=1)
     write_text(folder / "splits.json", text)
     return folder
+
+
+def _link(link: Path, path: Path) -> None:
+    """Make a link, unless it is there; InputError where something else is."""
+    try:
+        link.symlink_to(path)
+    except FileExistsError:
+        if not link.is_symlink() or link.readlink() != path:
+            raise InputError(f"{link}: is no link to {path}; remove it, or choose another --out") from None
 
 
 def training_frames(plan: Plan) -> dict[str, list[str]]:

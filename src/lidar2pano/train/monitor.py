@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import secrets
 import sys
 import time
 from collections.abc import Mapping
@@ -29,7 +30,8 @@ class Monitor:
         from torch.utils.tensorboard import SummaryWriter
 
         self.run, self.name, self.steps = run, name, steps
-        self.curves = SummaryWriter(str(run / "tensorboard"), purge_step=step)
+        suffix = f".{secrets.token_hex(8)}"  # nobody can plant a link of this name
+        self.curves = SummaryWriter(str(run / "tensorboard"), purge_step=step, filename_suffix=suffix)
         self.losses: dict[str, float] = {}
         self.first: tuple[int, float, float] | None = None
         self.last_line = time.monotonic()
