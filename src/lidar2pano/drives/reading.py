@@ -349,8 +349,7 @@ def _settled_files(
 ) -> list[tuple[Path, Version, float]]:
     """List complete files, not taken in this version: path, version, seconds since the last change.
 
-    first_look  when each version of a file was first seen, by a clock that does not jump; a file's own time is no
-                evidence.
+    first_look  when each version of a file was first seen, by a clock that does not jump; it alone tells completeness.
     """
     try:
         files = drive_files(folder, ReadOptions())
@@ -369,9 +368,9 @@ def _settled_files(
             continue
         if first_look.get(file, (None, 0.0))[0] != version:
             first_look[file] = version, now_s
-        age_s = now_s - first_look[file][1]
-        if age_s >= SETTLED_S:
-            settled.append((file, version, age_s))
+        unchanged_s = now_s - first_look[file][1]
+        if unchanged_s >= SETTLED_S:
+            settled.append((file, version, max(unchanged_s, time.time() - status.st_mtime)))
     return settled
 
 
