@@ -30,7 +30,20 @@ def test_more_than_three_alike_are_no_axes():
 
 @pytest.mark.parametrize(
     "name",
-    ["refl", "Inten-sity", "Intensit\u00e4t", "Signal Photons", "pcloud_attr.reflectance", "scalar_Intensity", "I"],
+    [
+        "refl",
+        "Inten-sity",
+        "Intensit\u00e4t",
+        "Signal Photons",
+        "pcloud_attr.reflectance",
+        "scalar_Intensity",
+        "I",
+        "\u53cd\u5c04\u7387",
+        "\u5f3a\u5ea6(0-255)",
+        "\u53cd\u5c04\u5f37\u5ea6",
+        "\ubc18\uc0ac\uac15\ub3c4",
+        "\u0418\u043d\u0442\u0435\u043d\u0441\u0438\u0432\u043d\u043e\u0441\u0442\u044c",
+    ],  # fmt: skip
 )
 def test_names_of_remission(name):
     assert find_named(["x", "range", name, "vertical_angle"], INTENSITY, INTENSITY_WORDS) == [name]

@@ -37,6 +37,8 @@ TABLES = {
     "x y z intensity range -": (XYZ, FORMS, RANGE, LABEL),
     "- x y z intensity": (np.zeros(COUNT), XYZ, FORMS),
     "intensity x y z": (FORMS, XYZ),
+    "x y z nx ny nz": (XYZ, XYZ / RANGE[:, None]),
+    "x y z intensity nx ny nz": (XYZ, FORMS, XYZ / RANGE[:, None]),
     "x y z red green blue": (XYZ, np.floor(GENERATOR.random((COUNT, 3)) * 255)),
 }
 

@@ -22,9 +22,23 @@ TIME = (
     "gps_time",
     "gpstime",
 )
-# Beginnings of words within longer names: "pcloud_attr.reflectance", "Intensität", "Signal Photons", "refl"
+# Beginnings of words within longer names: "pcloud_attr.reflectance", "Intensität", "Signal Photons", "refl", and of
+# Chinese and Japanese, Korean and Russian ones
 INTENSITY_WORDS, RING_WORDS, TIME_WORDS = (
-    ("refl", "remis", "inten", "signal", "amplitude"),
+    (
+        "refl",
+        "remis",
+        "inten",
+        "signal",
+        "amplitude",
+        "\u53cd\u5c04",
+        "\u5f3a\u5ea6",
+        "\u5f37\u5ea6",
+        "\ubc18\uc0ac",
+        "\uac15\ub3c4",
+        "\u0438\u043d\u0442\u0435\u043d",
+        "\u043e\u0442\u0440\u0430\u0436",
+    ),
     ("ring", "laser"),
     ("time",),
 )
@@ -171,6 +185,6 @@ def find_named(keys: Iterable[str], exact: Sequence[str], words: Sequence[str]) 
     keys = list(keys)
     by_name = {plain_name(key): key for key in reversed(keys)}
     found = [by_name[name] for name in exact if name in by_name]
-    parts = {key: re.split(r"[^a-z\u00e0-\u00ff]+", plain_name(key)) for key in keys if key not in found}
+    parts = {key: re.split(r"[\W\d_]+", plain_name(key)) for key in keys if key not in found}
     longer = (key for word in words for key, beginnings in parts.items() if any(p.startswith(word) for p in beginnings))
     return list(dict.fromkeys([*found, *longer]))

@@ -96,10 +96,9 @@ def column_names(table: np.ndarray) -> list[str]:
     if range_column is not None:
         names[range_column] = "range"
     left = [column for column, name in enumerate(names) if name.startswith("column")]
-    if len(left) == 3 and all(are_integers(sample[:, column], MOST_RINGS) for column in left):
-        for column, name in zip(left, ("red", "green", "blue"), strict=True):
-            names[column] = name
-        return names
+    for column, name in _vectors(sample, left).items():
+        names[column] = name
+        left.remove(column)
     xyz = sample[:, axes]
     for column in [column for column in left if len(sample) >= FEWEST and _is_angle(sample[:, column], xyz)]:
         names[column] = "angle"
@@ -194,6 +193,18 @@ def _is_angle(values: np.ndarray, xyz: np.ndarray) -> bool:
         if np.abs(angle - elevation).mean() < ANGLE_ERROR * np.std(elevation):
             return True
     return False
+
+
+def _vectors(sample: np.ndarray, columns: list[int]) -> dict[int, str]:
+    """Return the names of three columns of colours, or of normals: vectors of length 1, not all the same."""
+    if len(columns) == len("rgb") and all(are_integers(sample[:, column], MOST_RINGS) for column in columns):
+        return dict(zip(columns, ("red", "green", "blue"), strict=True))
+    for start in range(len(columns) - 2 if len(sample) >= FEWEST else 0):
+        three = columns[start : start + 3]
+        near = np.abs(np.linalg.norm(sample[:, three], axis=1) - 1) <= RANGE_ERROR
+        if near.mean() >= RANGE_SHARE and np.ptp(_finite(sample[:, three[2]])) > 0:
+            return dict(zip(three, ("nx", "ny", "nz"), strict=True))
+    return {}
 
 
 def _is_time(values: np.ndarray, xyz: np.ndarray) -> bool:
