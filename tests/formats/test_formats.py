@@ -141,6 +141,15 @@ def test_what_is_of_no_format(tmp_path: Path):
     assert "is of no format that is read (PCD, PLY, NPY" in complaint(lambda: read(tmp_path / "a"))
 
 
+@pytest.mark.parametrize(
+    "text", ["header:\n  stamp:\n    sec: 1\n", "Car 0.00 0 -1.57 1 2 3\n", "P0: 1 0 0 0 0 1\n", "0.1\n0.2\n"]
+)
+def test_a_text_of_no_table_is_shown(tmp_path: Path, text):
+    (tmp_path / "a.txt").write_text(text)
+    told = complaint(lambda: read(tmp_path / "a.txt"))
+    assert f"is text, but no table of points (it begins {text.split(chr(10))[0]!r}); name a scan" in told
+
+
 def test_closest():
     assert closest("titen", ["titan", "salsanext"]) == "; did you mean 'titan'?"
     assert closest("zzz", ["b", "a"]) == "; there is a, b"

@@ -181,6 +181,27 @@ def test_a_ply_of_carla_is_mirrored_and_said_so(tmp_path):
     np.testing.assert_allclose(other.xyz, XYZ, atol=1e-4)
 
 
+def test_files_without_points_say_so(tmp_path):
+    nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+    contents = {
+        "a.pcd": made.pcd(nothing, none),
+        "b.pcd": made.pcd(nothing, none, "ascii"),
+        "a.ply": made.ply(nothing, none),
+        "a.npy": made.npy(nothing),
+        "a.las": made.las(nothing, none, packed=False),
+    }
+    for name, content in contents.items():
+        path = made.write(tmp_path, name, content)
+        told = complaint(lambda path=path: read(path))
+        assert told.endswith(f"{name}: holds no points; name a scan that has some")
+
+
+def test_a_mesh_is_doubted(tmp_path):
+    faces = b"element face 1\nproperty list uchar int vertex_indices\nend_header"
+    content = made.ply(XYZ, INTENSITY).replace(b"end_header", faces) + bytes([3]) + bytes(12)
+    assert cloud(made.write(tmp_path, "a.ply", content)).doubts == ("it has 1 faces: a mesh, and no scan of a LiDAR",)
+
+
 def test_a_ply_whose_header_ends_with_a_space(tmp_path):
     content = made.ply(XYZ, INTENSITY).replace(b"end_header", b"end header")  # LSD-SLAM
     np.testing.assert_array_equal(cloud(made.write(tmp_path, "a.ply", content)).xyz, XYZ)

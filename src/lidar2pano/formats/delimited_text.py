@@ -35,6 +35,7 @@ SAMPLE_LINES = 64
 MOST_UNNAMED = 9  # columns of a table without header, for it to be a scan among a folder's files
 MOST_NAMED = 12  # columns in a message
 MOST_LINE = 1 << 14
+MOST_SHOWN = 40  # characters of a line in a message
 MOST_LEFT_OUT = 100  # lines of words among those of numbers: more are another table
 BLOCK_BYTES = 1 << 20  # of text, parsed at a time
 LEAST = 3  # columns
@@ -44,6 +45,13 @@ def has_points(head: bytes) -> bool:
     """Return whether a file begins with text, a line of which has three numbers or the names of axes."""
     lines = _sample(head)
     return any(len(cells) >= LEAST and _all_numbers(cells) for cells in lines) or any(map(_is_header, lines[:8]))
+
+
+def first_line(head: bytes) -> str | None:
+    """Return the beginning of the first line of text; None for other bytes."""
+    text = head.decode("utf-8", "replace").strip()
+    shown = text.partition("\n")[0][:MOST_SHOWN].strip()
+    return shown if shown and not CONTROL.search(head) and "\ufffd" not in text[:-1] else None
 
 
 def is_table(head: bytes) -> bool:

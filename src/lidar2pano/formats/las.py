@@ -14,7 +14,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 HEADER_BYTES, LAZ_FLAG = 247, 104  # of version 1.4; the byte of the point format, whose highest bit says "packed"
 RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without its content
@@ -128,7 +128,9 @@ def _check_chunks(file: BinaryIO, length: int, start: int, size: int) -> None:
 def _check(header: Any, file: BinaryIO, length: int, path: Path, sweep: bool) -> None:  # noqa: ANN401
     """Refuse a header of more points than the file has room for, or a sweep."""
     points, size, start = header.point_count, header.point_format.size, header.offset_to_point_data
-    if points < 1 or (sweep and (points > MOST_POINTS or points * size > MOST_BYTES * 2)):
+    if points < 1:
+        raise sweep_error(path, 0)
+    if sweep and (points > MOST_POINTS or points * size > MOST_BYTES * 2):
         raise InputError(f"{path}: {points} points of {size} bytes are no single sweep (at most {MOST_POINTS}); cut it")
     if header.are_points_compressed:
         _check_chunks(file, length, start, size)

@@ -205,6 +205,7 @@ def _binary(data: memoryview, header: Header, path: Path) -> dict[str, np.ndarra
     _check_length(len(data), points * header.step, header, path)
     if len(data) - points * header.step >= header.step and any(data[points * header.step :]):
         raise InputError(f"{path}: its header says {points} points, but more follow; write the file again")
+    data = data if points else memoryview(bytes(header.step))  # NumPy takes no view of nothing
     return {
         name: np.ndarray((points,), dtype, data, offset, (header.step,))
         for name, dtype, count, offset in header.fields

@@ -56,7 +56,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     """Return the vertices without their lists; InputError if header and content do not fit each other."""
     layout, elements, place, start = _whole_header(data, path)
     vertices, last = elements[place], place == len(elements) - 1
-    if vertices.count > MOST_POINTS:
+    if not 0 < vertices.count <= MOST_POINTS:
         raise sweep_error(path, vertices.count)
     if layout == "ascii":
         body = data[start:]
@@ -75,9 +75,10 @@ def decode(data: bytes, path: Path) -> PointCloud:
             raise InputError(
                 f"{path}: its header says {vertices.count} points, but more follow; the file is damaged or truncated"
             )
-    doubts = []
+    faces = sum(element.count for element in elements if element.name == "face")
+    doubts = [f"it has {faces} faces: a mesh, and no scan of a LiDAR"] if faces > 0 else []
     if is_of_carla(data[:start], vertices):
-        columns["y"], doubts = -columns["y"], [OF_CARLA]
+        columns["y"], doubts = -columns["y"], [*doubts, OF_CARLA]
     return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path), doubts=doubts)
 
 

@@ -106,7 +106,9 @@ class RowLayout(NamedTuple):
 
 
 def sweep_error(source: object, points: int) -> InputError:
-    """Return the error of a file or message of more points than a scan may have."""
+    """Return the error of a file or message of no points, or of more than a scan may have."""
+    if not points:
+        return InputError(f"{source}: holds no points; name a scan that has some")
     return InputError(f"{source}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
 
 
@@ -138,9 +140,7 @@ def cloud_of_columns(
         raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
     axes = [columns[key_by_name[axis]] for axis in "xyz"]
     if not 0 < len(axes[0]) <= MOST_POINTS:
-        raise InputError(
-            f"{source or name}: {len(axes[0])} points are no single sweep (1 to {MOST_POINTS}); name a scan"
-        )
+        raise sweep_error(source or name, len(axes[0]))
     exact = any(axis.dtype.itemsize > 4 or (axis.dtype.kind in "iu" and axis.dtype.itemsize > 2) for axis in axes)
     dtype = np.float64 if exact else np.float32
     if (together := _side_by_side(axes)) is not None:

@@ -106,6 +106,8 @@ def open_path(path: str | Path, readers: Sequence[Reader] = READERS) -> Reader:
             return reader
     if not head:
         raise InputError(f"{path}: is empty; name a scan file that holds points")
+    if (line := delimited_text.first_line(head)) is not None:
+        raise InputError(f"{path}: is text, but no table of points (it begins {line!r}); name a scan")
     formats = ", ".join(reader.name for reader in readers)
     raise InputError(f"{path}: is of no format that is read ({formats}); write it as one of them")
 

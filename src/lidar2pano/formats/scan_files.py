@@ -70,9 +70,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
 
 def _no_points(path: Path) -> InputError:
-    return InputError(
-        f"{path}: its bytes are no points (x y z remission as float32); the file is damaged or of another format"
-    )
+    return InputError(f"{path}: its bytes are no points (x y z remission as float32); it is of another format")
 
 
 def read_bin(path: Path) -> Scan:
