@@ -266,6 +266,7 @@ def test_the_server_answers_the_documented_request(bench, family):
 
 
 @released
+@pytest.mark.filterwarnings("ignore:.torch.jit.script_method. is deprecated:DeprecationWarning")  # torch's own
 @pytest.mark.parametrize("family", INSTALLED)
 @pytest.mark.parametrize("engine", ["torch", "compile", "onnx", "openvino"])
 def test_every_output_by_every_engine(bench, family, engine):
