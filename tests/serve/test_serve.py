@@ -209,7 +209,7 @@ def test_a_form_of_one_file_is_its_file(server, scan):
     ("query", "body", "status", "message"),
     [
         ("", b"", 422, "the body is empty"),
-        ("?name=../../etc/passwd", b"hello", 422, "scan: is of no format"),
+        ("?name=../../etc/passwd", b"hello", 422, "scan: is text, but no table of points"),
         ("?name=a.bin", b"12345", 422, "scan: 5 bytes are no whole number of points"),
         ("?as=gif", b"1", 422, "as: there is png, zip, json"),
         ("?save=rbg", b"1", 422, "save: name some of rgb"),
