@@ -66,7 +66,7 @@ def test_camera_segmenters_and_vid2vid_train_on_them(cityscapes):
 
 def test_what_needs_a_scan_says_so(cityscapes):
     samples = FrontViewDataset(cityscapes, ("train",), VIEWS["titan-front"], (24, 80))
-    with pytest.raises(InputError, match="has images and labels only, no scan; sdnet and vid2vid train"):
+    with pytest.raises(InputError, match="has images and labels only, no scan; sdnet, vid2vid and latent-painter"):
         samples[0]
 
 
