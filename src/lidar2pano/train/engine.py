@@ -47,6 +47,7 @@ from lidar2pano.train.environment import (
     choose_precision,
     clock,
     device_name,
+    has_channels_last,
     hidden,
     interrupts,
     largest,
@@ -145,7 +146,7 @@ class Run:
         self.networks: dict[str, nn.Module] = dict(task.networks)  # as the task made them
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
         for name, network in self.networks.items():
-            if recipe.training.channels_last:
+            if has_channels_last(recipe.training, fabric.device):
                 network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
             optimizer = make_optimizer(recipe.networks[name].optimizer, network)
             task.networks[name], self.optimizers[name] = fabric.setup(network.train(), optimizer)

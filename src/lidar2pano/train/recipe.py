@@ -124,7 +124,7 @@ class Training:
                  whichever is further.
     batch        samples per step, in `accumulate` micro-batches.
     workers      processes per device for samples (0 = the training process does).
-    precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
+    precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights, but in float32 on a CPU.
     compile      whether torch.compile makes the steps of the released networks: some two minutes before the first step,
                  then up to twice as many steps a minute. Critics are not compiled, nor is validation.
     ema          decay per step of the averaged weights for validation and release; 0 = no averaging.
