@@ -92,7 +92,8 @@ class McapFile:
         from mcap.records import MessageIndex
 
         if not all(chunk.message_index_offsets for chunk in self._chunks) or not self._chunks:
-            return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
+            with damage(self.path, REPAIR):  # the format's numbers have no sign
+                return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
         stamps_ns: list[int] = []
         with damage(self.path, REPAIR):
             for chunk in self._chunks:
@@ -101,7 +102,7 @@ class McapFile:
                         self._file.seek(offset + 9)  # opcode and length come before
                         index = MessageIndex.read(ReadDataStream(self._file))
                         stamps_ns += [stamp_ns for stamp_ns, _ in index.records]
-        return np.array(sorted(stamps_ns), dtype=np.int64)
+            return np.array(sorted(stamps_ns), dtype=np.int64)
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
         """Return the message as an object with ROS's attributes; raises rosbags' errors."""
