@@ -23,8 +23,8 @@ def content(file: bytes) -> bytes:
 
 
 def paged(data: bytes) -> bytes:
-    """A file of such bytes."""
-    data += bytes(-len(data) % (PAGE - 4))
+    """A file of such bytes, a page at least."""
+    data += bytes(-len(data) % (PAGE - 4)) or bytes(PAGE - 4) * (not data)
     pages = [data[start : start + PAGE - 4] for start in range(0, len(data), PAGE - 4)]
     pages[0] = pages[0][:LENGTH] + struct.pack("<Q", PAGE * len(pages)) + pages[0][LENGTH + 8 :]
     return b"".join(page + struct.pack(">I", crc32c(page)) for page in pages)
