@@ -249,13 +249,13 @@ def test_bulk(here, run, kills):
         assert sorted(line["input"] for line in lines) == [f"{number:06d}.bin" for number in range(4)]
 
 
-DIFFERS = ("milliseconds", "others", "hours", "weights", "key")  # from run to run
+TIMES_AND_NAMES = ("milliseconds", "others", "hours", "weights", "key")  # which differ from run to run
 
 
 def plain(value: object) -> object:
     """A row's evaluation without what differs from run to run: times, and names of folders."""
     if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items() if key not in DIFFERS}
+        return {key: plain(part) for key, part in value.items() if key not in TIMES_AND_NAMES}
     return [plain(part) for part in value] if isinstance(value, list) else value
 
 
