@@ -67,8 +67,8 @@ class LabelledImage(Frame):
         """See Frame."""
         if part == "camera_labels":
             return f"{self.labels_file}: is missing; complete the labels, or leave {self.image_file.name} out"
-        lacks = part.replace("_", " ")
-        return f"{self.root}: has images and labels only, no {lacks}; sdnet, vid2vid and latent-painter train on it"
+        part_name = part.replace("_", " ")
+        return f"{self.root}: has images and labels only, no {part_name}; sdnet, vid2vid and latent-painter train on it"
 
 
 def matches(root: Path) -> bool:

@@ -108,8 +108,8 @@ def row_layout(head: bytes, path: Path) -> RowLayout | None:
 
 def _whole_header(data: bytes, path: Path) -> tuple[str, list[Element], int, int]:
     """Return the layout, the elements, the place of the vertices among them, and the offset of the content."""
-    found = END.search(data, 0, MOST_HEADER)
-    end = found.start() if found else 0
+    match = END.search(data, 0, MOST_HEADER)
+    end = match.start() if match else 0
     start = data.find(b"\n", end) + 1
     if not end or start < 1:
         raise InputError(f"{path}: its PLY header has no end (a line end_header); the file is truncated or no PLY")

@@ -302,9 +302,9 @@ def _unwrapped(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
         turn = TURN_S / unit
         if not (0 <= low < turn and period - turn < high < period):
             continue
-        early = times < turn
-        if (early | (times >= period - turn))[valid].all():
-            return np.where(early, times + period, times)
+        is_later = times < turn
+        if (is_later | (times >= period - turn))[valid].all():
+            return np.where(is_later, times + period, times)
     return values
 
 

@@ -236,8 +236,8 @@ def writing(path: Path) -> Iterator[None]:
 def newest_checkpoint(run: Path) -> Path | None:
     """The folder of the run's last checkpoint, if there is one."""
     folder = run / "checkpoints"
-    found = [path for path in folder.iterdir() if CHECKPOINT.fullmatch(path.name)] if folder.is_dir() else []
-    return max(found, key=lambda path: (int(path.stem), path.suffix == ""), default=None)
+    folders = [path for path in folder.iterdir() if CHECKPOINT.fullmatch(path.name)] if folder.is_dir() else []
+    return max(folders, key=lambda path: (int(path.stem), path.suffix == ""), default=None)
 
 
 def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
