@@ -20,6 +20,7 @@ from lidar2pano.drives.reading import Overrides, Reading, ReadingOptions, ScanSo
 from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.recordings.recorded_images import REACH_S, intrinsics, pixels
+from lidar2pano.recordings.transforms import stamp_seconds
 from lidar2pano.translation import Translator
 from lidar2pano_ros.interface import TOPICS
 from lidar2pano_ros.messages import (
@@ -36,11 +37,6 @@ KEPT = 16  # images of a camera that wait for their cloud
 
 # (target frame, its stamp, source frame, its stamp) -> (4, 4) T_target_source; raises InputError if tf does not know
 Transform = Callable[[str, Any, str, Any], np.ndarray]
-
-
-def seconds(stamp: Any) -> float:
-    """Return the seconds of a stamp of ROS."""
-    return stamp.sec + stamp.nanosec * 1e-9
 
 
 class ImageFeed:
@@ -65,8 +61,8 @@ class ImageFeed:
         images, info = tuple(self._images), self._info
         if info is None:
             raise InputError(f"no CameraInfo has come on {self.info_topic}")
-        image = min(images, key=lambda one: abs(seconds(one.header.stamp) - seconds(header.stamp)), default=None)
-        time_s = seconds(image.header.stamp) - seconds(header.stamp) if image else np.inf
+        image = min(images, key=lambda one: abs(stamp_seconds(one.header) - stamp_seconds(header)), default=None)
+        time_s = stamp_seconds(image.header) - stamp_seconds(header) if image else np.inf
         if image is None or abs(time_s) > REACH_S:
             raise InputError("it has no image near the cloud")
         T = transform(info.header.frame_id, image.header.stamp, header.frame_id, header.stamp)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.beams import CLEARLY, horizontal_centre, sharpest_origin, sharpness
+from lidar2pano.formats.field_names import METRES
 
 # The plane of the ground, level or tilted, and its part behind the vehicle.
 GROUND_NEAR_M, GROUND_FAR_M = 2.5, 25.0  # of the points used
@@ -33,7 +34,6 @@ CLOUD_ORIGIN, BY_VIEWPOINT = "the cloud's origin", "the file's VIEWPOINT"
 LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
 OTHER_AXIS_DEG = 45.0  # a turn by more is to another axis
 HEIGHTS_M = (1.0, 4.0)  # above the ground, of sensors whose axes are not the convention's
-FOOT_M = 0.3048
 FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
 SMALL_UNITS = (1e-3, 1e-2, 1e-6, 1e-4, 1e-5)  # metres, the usual ones first
 VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
@@ -318,7 +318,7 @@ def _of_feet(sample: np.ndarray, ground: Ground | None, claims: Claims) -> list[
     """Return the doubt about points (N, 3) that a vehicle's sensor would see if their unit were feet."""
     if ground is None or -ground.height_m <= HEIGHTS_M[1] or claims.named_height_m is not None:
         return []
-    if not stands(best_ground(sample * FOOT_M)):
+    if not stands(best_ground(sample * METRES["ft"])):
         return []
     return [f"the ground is {-ground.height_m:.1f} below it, too far for a vehicle; if its unit is feet, write metres"]
 

@@ -15,7 +15,7 @@ from lidar2pano.formats.image_files import decode_image
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings.description import Recording, Topic, damage
 from lidar2pano.recordings.recorded_scans import recording_reader
-from lidar2pano.recordings.transforms import fixed_poses, recorded_motion
+from lidar2pano.recordings.transforms import fixed_poses, recorded_motion, stamp_seconds
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -135,7 +135,7 @@ class ImagePlayback:
         for raw in recording.messages(tuple(image for image, _ in self._pairs), start_ns if within else None):
             with damage(self.path, MEND):
                 content = recording.decode(raw)
-            yield raw.topic.name, _stamp_s(content) or raw.stamp_ns * 1e-9, content
+            yield raw.topic.name, stamp_seconds(content.header) or raw.stamp_ns * 1e-9, content
 
     def _read_up_to(self, stamp_s: float) -> None:
         """Read until each camera has an image after a time, or one is far behind; of those before it one is kept."""
@@ -197,11 +197,6 @@ class ImagePlayback:
         self._messages = None
         if self._recording is not None:
             self._recording.close()
-
-
-def _stamp_s(content: Any) -> float:  # noqa: ANN401
-    stamp = content.header.stamp
-    return stamp.sec + stamp.nanosec * 1e-9
 
 
 def intrinsics(info: Any, topic: str) -> dict[str, Any]:  # noqa: ANN401

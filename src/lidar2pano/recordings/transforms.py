@@ -73,6 +73,11 @@ def fixed_poses(recording: Recording, frames: Iterable[str]) -> dict[str, np.nda
     return poses if len(roots) == 1 else None
 
 
+def stamp_seconds(header: Any) -> float:  # noqa: ANN401
+    """Return the seconds of the stamp of a ROS header."""
+    return header.stamp.sec + header.stamp.nanosec * 1e-9
+
+
 class _Rows:
     """Poses of frames in their parents, as they are read."""
 
@@ -82,8 +87,7 @@ class _Rows:
 
     def add(self, stamped: Any, child: str, pose: Any) -> None:  # noqa: ANN401
         """Add a stamped transform or odometry, unless it is no pose (NaN, quaternion 0) or follows too soon."""
-        stamp = stamped.header.stamp
-        stamp_s = stamp.sec + stamp.nanosec * 1e-9
+        stamp_s = stamp_seconds(stamped.header)
         moved = hasattr(pose, "translation")  # a Transform; an odometry has a Pose
         place, turn = (pose.translation, pose.rotation) if moved else (pose.position, pose.orientation)
         row = (stamp_s, place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)

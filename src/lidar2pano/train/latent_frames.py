@@ -220,14 +220,12 @@ class LatentFrames:
         }
         return {name: value.contiguous() for name, value in made.items()} | pictured(picture, coverage)
 
-    def _labelled(self, frame: Frame, _: str) -> dict[str, Tensor]:
+    def _labelled(self, frame: Frame, camera: str) -> dict[str, Tensor]:
         """Make the sector of a photograph without a scan: labelled classes are sure, unknown ones no class at all."""
-        image, labels = frame.require("image", "camera_labels")
-        calibration = level_camera(image.shape[1], image.shape[0])
-        sector = sector_around(at_camera(self.pipeline.view, calibration), calibration)
-        finer = camera_in_panorama(sector.scaled(2), calibration)
-        picture = finer.linear(torch.from_numpy(image).movedim(2, 0).float()).round().byte()
-        ids = camera_in_panorama(sector, calibration).nearest(torch.from_numpy(CITYSCAPES_TO_COMMON15[labels]), IGNORE)
+        view, picture, coverage = self._pictured(frame, camera)
+        _, calibration, _ = photographed(frame, camera)
+        (labels,) = frame.require("camera_labels")
+        ids = camera_in_panorama(view, calibration).nearest(torch.from_numpy(CITYSCAPES_TO_COMMON15[labels]), IGNORE)
         classes = torch.arange(len(COMMON15))[:, None, None]
         made = {
             "probabilities": (ids == classes).byte() * BYTE,
@@ -235,7 +233,7 @@ class LatentFrames:
             "measured": torch.zeros(ids.shape, dtype=torch.uint8),
             "viewpoint_m": torch.zeros(1),
         }
-        return made | pictured(picture, finer.valid)
+        return made | pictured(picture, coverage)
 
     def _pictured(self, frame: Frame, camera: str) -> tuple[View, Tensor, Tensor]:
         """Return a sector's raster, its picture (3, 2H, 2w) uint8 on one twice as fine, and its coverage."""
@@ -277,6 +275,9 @@ def is_rectified(frame: Frame, camera: str) -> bool:
 
 def photographed(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np.ndarray | None]:
     """Return a camera's image (h, w, 3) uint8, its calibration, and its vehicle's pixels, (h, w) bool, or None."""
+    if isinstance(frame, LabelledImage):
+        (image,) = frame.require("image")
+        return image, level_camera(image.shape[1], image.shape[0]), None
     if not isinstance(frame, SurroundFrame):
         image, calibration = frame.require("image", "calibration")
         return image, calibration, None
