@@ -37,12 +37,12 @@ from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
 ECHO_OUTPUTS = ("remission", "range", "near-infrared")  # of the scan, without an invention
-EXTRA_OUTPUTS = ("confidence", "measured", "source", *ECHO_OUTPUTS)  # that "all" does not name
-RASTERS = tuple(name for name in (*OUTPUTS, *EXTRA_OUTPUTS) if name not in ("rgb", "labels"))
+EXTRA_OUTPUTS = ("confidence", "measured", "source", *ECHO_OUTPUTS, "valid")  # that "all" does not name
+RASTERS = tuple(name for name in (*OUTPUTS, *EXTRA_OUTPUTS) if name not in ("rgb", "labels", "valid"))
 # Endings of the stems of further outputs of a scan.
 STEM_ENDINGS = (
     *(f".{name}" for name in (*RASTERS, *CUBE_AXES)),
-    *(".camera", ".camera-segments", ".panoptic", "_gtFine_labelIds", "_gtFine_instanceIds"),
+    *(".camera", ".camera-segments", ".camera-valid", ".panoptic", "_gtFine_labelIds", "_gtFine_instanceIds"),
 )
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
 Writer = tuple[str, str, Callable[[Path], object]]  # an output, the name of its file, and its function
@@ -259,12 +259,13 @@ class Panorama:
               (<stem>.measured.png, 8 bit, 255 = a point was there), "source" (<stem>.source.png, 8 bit, the number of
               the pixel's camera, 0 = invented). Of `scan`, the panorama's own: "remission" (8 bit, 255 = full), "range"
               (like the depth) and "near-infrared" (8 bit, 255 = 99 of 100 pixels have less). With a calibration also
-              <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
+              <stem>.camera.png beside rgb, <stem>.camera-segments.png beside segments, and for "valid"
+              <stem>.camera-valid.png (8 bit, 255 = the panorama reaches there).
         image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         projection    of all images: "cylinder", as `view`; "equirectangular", whose colour images say so to viewers
               (GPano XMP); "cubemap": <stem>.front.png, .right, .back, .left, .up, .down, and as many of each other one.
-        Raises InputError when a name is unknown, the scan has no near-infrared light or the folder cannot be written;
-        ValueError without the scan or for that of another panorama.
+        Raises InputError when a name is unknown, the scan has no near-infrared light, "valid" no calibration or the
+        folder cannot be written; ValueError without the scan or for that of another panorama.
         """
         what = (what,) if isinstance(what, str) else what
         if unknown := sorted(set(what) - {*OUTPUTS, *EXTRA_OUTPUTS}):
@@ -273,7 +274,11 @@ class Panorama:
             raise InputError(f"no image format {image_format!r}; there is {', '.join(COLOUR_FORMATS)}")
         if projection not in PROJECTIONS:
             raise InputError(f"no projection {projection!r}; there is {', '.join(PROJECTIONS)}")
-        camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
+        if "valid" in what and calibration is None:
+            raise InputError(
+                f"{self.name}: valid is where the panorama reaches in a camera's image; name its calibration"
+            )
+        camera = self.to_camera(calibration) if calibration and {"rgb", "segments", "valid"} & set(what) else None
         stem = stem or self.name
         rasters = self._rasters() | self._echo_rasters(scan, set(what).intersection(ECHO_OUTPUTS))
         rasters = {name: values for name, values in rasters.items() if name in what}
@@ -337,6 +342,7 @@ class Panorama:
             ending = COLOUR_FORMATS[image_format][0]
             yield "rgb", f"{stem}.camera{ending}", lambda path: write_colour(path, camera.colour, image_format)
             yield "segments", f"{stem}.camera-segments.png", lambda path: write_palette(path, camera.segments)
+            yield "valid", f"{stem}.camera-valid.png", lambda path: write_ids(path, _levels(camera.valid))
 
 
 def _levels(shares: np.ndarray) -> np.ndarray:

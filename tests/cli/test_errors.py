@@ -109,6 +109,7 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
         ("--out file", "file: cannot be written (file is not a folder); choose another --out"),
         ("--out file/below/it", "file/below/it: cannot be written (file is not a folder); choose another --out"),
         ("--image-size 100x50", "--image-size 100x50 is the size of a camera's image; name its --calib too"),
+        ("--save rgb,valid", "--save valid: is where the panorama reaches in a camera's image; name its --calib too"),
         ("--calib calib.txt --image-size 100", "--image-size '100' is not of the form WIDTHxHEIGHT"),
         ("--calib calib.txt --image-size 0x50", "--image-size '0x50' is not of the form WIDTHxHEIGHT"),
         ("--calib calib.txt --image-size -5x50", "--image-size '-5x50' is not of the form WIDTHxHEIGHT"),

@@ -448,6 +448,18 @@ def test_saved_files_read_back(panorama, tmp_path):
     assert camera.colour.shape == (25, 80, 3) and camera.segments.shape == (25, 80)
 
 
+def test_where_the_panorama_does_not_reach_in_a_camera_is_a_file(panorama, tmp_path):
+    above = np.array([[0.0, 0, 0], [0, 0, 88], [0, 0, 0]])  # rows of the image that look over the panorama
+    high = replace(CAMERA, K=CAMERA.K + above, size=(80, 200))
+    files = panorama.save(tmp_path, ("rgb", "valid"), high)
+    assert [file.name for file in files] == ["street.png", "street.camera.png", "street.camera-valid.png"]
+    valid = pixels(files[2])
+    assert valid.dtype == np.uint8 and set(np.unique(valid)) == {0, 255}
+    assert np.array_equal(valid == 255, panorama.to_camera(high).valid) and not pixels(files[1])[valid == 0].any()
+    with pytest.raises(InputError, match="valid is where the panorama reaches in a camera's image"):
+        panorama.save(tmp_path, "valid")
+
+
 def test_deep_depths_do_not_wrap_around(panorama, tmp_path):
     far = replace(panorama, depth_m=np.full_like(panorama.depth_m, 300.0))
     (file,) = far.save(tmp_path, ("depth",))

@@ -102,6 +102,8 @@ def checked_options(
     options = Options(weights=name, files=files, note=note, device=picked, look=look, engine=engine, **further)
     if options.sensor:
         sensor_view(options.sensor)
+    if "valid" in options.save and not options.calibration:
+        raise InputError("--save valid: is where the panorama reaches in a camera's image; name its --calib too")
     return options
 
 

@@ -130,7 +130,7 @@ SaveOption = Annotated[
     typer.Option(
         metavar="LIST",
         help="Outputs: rgb, segments, labels, depth or all; confidence, measured, source; remission, range,"
-        " near-infrared, as measured.",
+        " near-infrared, as measured; valid, with --calib.",
     ),
 ]
 ProjectionOption = Annotated[
