@@ -109,9 +109,13 @@ class Tab:
 
     def wait_for_name(self, start: str) -> Tab:
         """Wait until the frame's number and name begin like that."""
+        return self.wait_until(lambda: self.text("#name").startswith(start), f"the name becomes {start!r}")
+
+    def wait_until(self, condition: Callable[[], bool], words: str) -> Tab:
+        """Wait until the condition, in these words, holds."""
         end = time.monotonic() + MILLISECONDS / 1000
-        while not self.text("#name").startswith(start):
-            assert time.monotonic() < end, f"{self.text('#name')!r} does not become {start!r}"
+        while not condition():
+            assert time.monotonic() < end, f"it never happens that {words}"
             self.settle()
         return self.settle()
 
@@ -123,7 +127,7 @@ class Tab:
 
     def pixels(self, pane: str = "#view") -> np.ndarray:
         """(h, w, 3) uint8 that a pane shows, without what lies over the canvas."""
-        over = "document.querySelectorAll('output, #legend, #divider, #tip, #cloudtools, #scale')"
+        over = "document.querySelectorAll('output, #legend, #divider, #tip, #cloudtools, #scale, #compass')"
         self.page.evaluate(f"{over}.forEach(one => one.style.opacity = 0)")
         left, top, right, bottom = self.box(pane)
         data = self.page.screenshot(clip={"x": left, "y": top, "width": right - left, "height": bottom - top})
@@ -334,6 +338,51 @@ def test_keys_mouse_and_wheel_look_around(one):
     assert "yaw=-90" in one.page.evaluate("new Promise(done => setTimeout(() => done(location.hash), 900))")
 
 
+def dial(tab: Tab) -> float:
+    """Degrees clockwise that the dial's sector is turned by."""
+    return float(re.findall(r"rotate\((.*)\)", tab.page.locator("#sector").get_attribute("transform"))[0])
+
+
+def degrees_right(tab: Tab) -> float:
+    ((number, side),) = re.findall(r"([\d.]+)\u00b0 (left|right)", tab.text("#direction"))
+    return float(number) * (1 if side == "right" else -1)
+
+
+def test_the_dial_shows_the_direction_and_the_width(one):
+    assert dial(one.go("yaw=90")) == -90 and dial(one.go("yaw=-45")) == 45, "left is on the dial's left"
+    widths = [one.go(f"fov={fov}").box("#sector") for fov in (20, 60)]
+    narrow, wide = (right - left for left, _, right, _ in widths)
+    assert wide > 2 * narrow and widths[0][3] - widths[0][1] > narrow, "a sector upwards: ahead"
+
+
+def test_the_view_turns_by_itself_until_it_is_moved(one):
+    one.go("yaw=-20")
+    began = time.monotonic()
+    one.press("a")
+    assert one.page.locator("#revolve").get_attribute("aria-pressed") == "true"
+    assert one.page.locator("#direction").get_attribute("aria-live") == "off"
+    one.wait_until(lambda: degrees_right(one) > 26, "the view has turned by six degrees")
+    right = degrees_right(one)
+    assert 26 < right < min(90, 20.1 + 6 * (time.monotonic() - began)), "six degrees a second, to the right"
+    one.press("ArrowRight")
+    assert one.page.locator("#revolve").get_attribute("aria-pressed") == "false"
+    stopped = one.text("#direction")
+    one.page.wait_for_timeout(500)
+    assert one.text("#direction") == stopped
+    one.page.locator("#revolve").click()
+    assert one.page.locator("#revolve").get_attribute("aria-pressed") == "true"
+    one.press("r")
+    assert one.text("#direction").startswith("ahead")
+
+
+def test_little_motion_is_a_jump_now_and_then(open_tab):
+    calm = open_tab("one", reduced_motion="reduce").go("yaw=-20").press("a")
+    calm.page.wait_for_timeout(1000)
+    assert degrees_right(calm) == 20
+    calm.wait_until(lambda: degrees_right(calm) == 65, "the view jumps by an eighth")
+    calm.press("a")
+
+
 def test_help_is_a_key_away(one):
     one.go("").press("?")
     assert one.page.get_by_role("dialog").is_visible()
@@ -508,6 +557,13 @@ def test_a_phone_has_room(open_tab):
     left, top, right, bottom = tab.box("#map")
     tab.page.touchscreen.tap(left + 90, (top + bottom) // 2)
     assert tab.settle().text("#direction").startswith("90.0\u00b0 left")
+
+
+def test_all_layers_are_in_reach_on_a_phone(open_tab):
+    tab = open_tab("one", viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True)
+    buttons = tab.page.locator("#layers button:not([hidden])")
+    boxes = [buttons.nth(i).bounding_box() for i in range(buttons.count())]
+    assert len(boxes) == 6 and all(box["x"] >= 0 and box["x"] + box["width"] <= 360 for box in boxes)
 
 
 def test_the_first_view_on_a_phone_is_a_cameras(open_tab):

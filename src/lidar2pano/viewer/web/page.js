@@ -5,6 +5,8 @@ const LAYERS = ["colour", "classes", "depth", "camera", "confidence", "source"];
 const UNITS = { colour: 0, classes: 1, depth: 2, camera: 3, confidence: 4, source: 5, table: 6 };
 const COLOURINGS = { layer: -1, classes: 1, height: 10, intensity: 11, distance: 12 };  // of points, as the shader knows them
 const FIRST_FOV = 55;                     // degrees, at least, of the first view: about that of a camera
+const ROUND_S = 60;                       // of a slow turn all around
+const JUMPS = 8, JUMP_S = 3;              // the same where the system wishes for little motion: so many directions, so long each
 const GRID_M = 10, GRID_LINES = 10;       // spacing; lines to either side of the middle
 const TURN = 2 * Math.PI, RAD = Math.PI / 180;
 const $ = (id) => document.getElementById(id);
@@ -15,6 +17,7 @@ const state = {
   yaw: 0, pitch: null, fov: null,         // radians; fov is horizontal. null: the whole height of the panorama
   layer: "colour", compare: false, split: 0.5,
   frame: 0, playing: false, loop: true,
+  revolving: null,                        // the slow turn that goes on
   cloud: false, orbit: null, colouring: "layer", pointSize: 1,   // orbit null: all points are in sight
   chosen: new Set(),                      // classes to show; none: all
 };
@@ -409,6 +412,8 @@ function update() {                       // brings all controls up to date with
   $("play").textContent = state.playing ? "\u275A\u275A" : "\u25B6\uFE0E";
   $("play").setAttribute("aria-pressed", state.playing);
   $("loop").setAttribute("aria-pressed", state.loop);
+  $("revolve").setAttribute("aria-pressed", Boolean(state.revolving));
+  $("direction").setAttribute("aria-live", state.revolving ? "off" : "polite");  // a screen reader would read on and on
   const [rows, columns] = info.size;
   $("map").style.height = `${Math.round(innerWidth * rows / columns)}px`;
   turned();
@@ -420,6 +425,9 @@ function turned() {                       // after a change of direction or zoom
   const aside = degrees(mod(yaw + Math.PI, TURN) - Math.PI);
   const words = aside === 0 ? "ahead" : `${Math.abs(aside).toFixed(1)}\u00b0 ${aside > 0 ? "left" : "right"}`;
   $("direction").textContent = `${words} \u00b7 ${Math.round(fov / RAD)}\u00b0 wide`;
+  const [x, y] = [Math.sin(fov / 2) * 22, -Math.cos(fov / 2) * 22];
+  $("sector").setAttribute("d", `M0 0L${-x} ${y}A22 22 0 0 1 ${x} ${y}z`);
+  $("sector").setAttribute("transform", `rotate(${-aside})`);
   $("map").setAttribute("aria-valuenow", Math.round(aside));
   $("map").setAttribute("aria-valuetext", words);
   clearTimeout(written);                  // the address names the view, so that it can be passed on
@@ -452,6 +460,7 @@ function readAddress() {
 // --- what the user does -----------------------------------------------------------------------------------------------
 
 function turn(dx, dy) {                   // by CSS pixels at the middle of the view
+  if (dx || dy) stand();
   const look = angles();
   state.yaw = mod(look.yaw + dx / look.focal + Math.PI, TURN) - Math.PI;
   state.pitch = clamp(look.pitch + dy / look.focal, Math.atan(frame.info.view[1]), Math.atan(frame.info.view[0]));
@@ -488,9 +497,28 @@ function compare() {
 function cloud() { if (frame.info.points) { state.cloud = !state.cloud; update(); } }
 
 function reset() {
+  stand();
   Object.assign(state, { yaw: 0, pitch: null, fov: null, orbit: null });
   turned();
 }
+
+async function revolve() {
+  const course = state.revolving ? null : {}, calm = matchMedia("(prefers-reduced-motion: reduce)");
+  state.revolving = course;
+  update();
+  let before = performance.now();
+  while (course && state.revolving === course) {
+    const jump = calm.matches;
+    await new Promise((done) => (jump ? setTimeout(done, 1000 * JUMP_S) : requestAnimationFrame(done)));
+    if (state.revolving !== course) return;
+    const now = performance.now(), share = jump ? 1 / JUMPS : (now - before) / 1000 / ROUND_S;
+    before = now;
+    state.yaw = mod(state.yaw - TURN * share + Math.PI, TURN) - Math.PI;
+    turned();
+  }
+}
+
+function stand() { if (state.revolving) { state.revolving = null; update(); } }
 
 function step(by) { show(mod(state.frame + by, INDEX.frames.length)); }
 
@@ -641,6 +669,7 @@ function inform(x, y) {                   // about a place in the window
 }
 
 function lookAt(event) {                  // a place in the map
+  stand();
   const box = $("map").getBoundingClientRect(), [up, down, left, right] = frame.info.view;
   state.yaw = left - clamp((event.clientX - box.left) / box.width, 0, 1) * (left - right);
   const v = clamp((event.clientY - box.top) / box.height, 0, 1);
@@ -664,7 +693,7 @@ function key(event) {
     5: () => choose("confidence"),
     6: () => choose("source"), 0: fit, 9: top, "[": () => resize(1 / 1.4), "]": () => resize(1.4),
     f: fullscreen, s: screenshot, l: copyLink, t: theme, i: middle, o: repeat,
-    c: compare, p: cloud, r: reset, Home: reset, " ": play, ",": () => step(-1), ".": () => step(1), "?": help,
+    c: compare, p: cloud, r: reset, a: revolve, Home: reset, " ": play, ",": () => step(-1), ".": () => step(1), "?": help,
   };
   keys["="] = keys["+"];
   const name = event.key.length === 1 ? event.key.toLowerCase() : event.key;
@@ -715,8 +744,8 @@ function listen() {
     choose(button.dataset.layer);
     if (event.detail) $("view").focus();  // by mouse or touch: the arrow keys look around again
   }));
-  for (const [id, action] of Object.entries({ compare, cloud, reset, help, play, fullscreen, screenshot, link: copyLink, theme, fit, top, loop: repeat,
-    smaller: () => resize(1 / 1.4), larger: () => resize(1.4), previous: () => step(-1), next: () => step(1) })) {
+  for (const [id, action] of Object.entries({ compare, cloud, reset, revolve, help, play, fullscreen, screenshot, link: copyLink, theme,
+    fit, top, loop: repeat, smaller: () => resize(1 / 1.4), larger: () => resize(1.4), previous: () => step(-1), next: () => step(1) })) {
     $(id).addEventListener("click", action);
   }
   $("frame").addEventListener("input", () => show(+$("frame").value));
