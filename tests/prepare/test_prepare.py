@@ -461,6 +461,13 @@ def test_killed_before_a_file_is_replaced_the_older_one_is_known(root):
     assert contents(root).keys() == before.keys()
 
 
+def test_what_another_process_writes_meanwhile_is_prepares_own(root):
+    labelling = label(frames_to_label(root), [Copyist("a")])
+    assert [one.state.value for one in next(labelling)[1]] == ["written"]
+    assert states_of(root, Copyist("a")) == ["current", "written", "written"]
+    assert [one.state.value for _, done in labelling for one in done] == ["current"] * 2
+
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path

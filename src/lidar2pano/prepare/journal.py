@@ -51,11 +51,19 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
         self._records: dict[str, list[Record]] = {}
+        self._size, self._torn = 0, False
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Read the file again if another process has appended to it."""
         try:
-            content = read_bytes(self.path, MOST_BYTES) if self.path.is_file() else b""
+            if not self.path.is_file() or self.path.stat().st_size == self._size:
+                return
+            content = read_bytes(self.path, MOST_BYTES)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read ({error.strerror}); ask for permission") from error
-        self._torn = bool(content) and not content.endswith(b"\n")
+        self._size, self._torn = len(content), not content.endswith(b"\n")
+        self._records = {}
         for entry in json_lines(content):
             with suppress(InputError):
                 record = validated(Record, entry, "")
@@ -68,8 +76,9 @@ class Journal:
     def enter(self, record: Record) -> None:
         """Append a record, on disk at the return of the call. Raises OSError if it cannot be written."""
         line = json.dumps(asdict(record), separators=(",", ":")).encode() + b"\n"
-        append_bytes(self.path, b"\n" + line if self._torn else line)
-        self._torn = False
+        line = b"\n" + line if self._torn else line
+        append_bytes(self.path, line)
+        self._size, self._torn = self._size + len(line), False
         self._records.setdefault(record.file, []).append(record)
 
 

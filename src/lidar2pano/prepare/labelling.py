@@ -100,9 +100,11 @@ def _by(teacher: Teacher, frame: SemanticKittiFrame, journal: Journal) -> Labell
 
 def _standing(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path, journal: Journal) -> State | None:
     """Return the state of a file to keep; None for one to write."""
-    records = journal.of(_name(file))
     if not file.exists() and not file.is_symlink():
         return None
+    if not journal.of(_name(file)):
+        journal.refresh()  # whoever labels at the same time enters a file before it has its name
+    records = journal.of(_name(file))
     if not records:
         return State.KEPT
     stamp = stamp_of(file, records[0].stamp)
