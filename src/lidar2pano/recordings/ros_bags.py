@@ -113,8 +113,10 @@ def open_ros1(path: Path) -> RosBag:
 
 def open_sqlite(path: Path) -> RosBag:
     """Return a ROS 2 bag's .db3 file, without metadata.yaml; InputError as `open_ros1`."""
-    _check_sqlite(path)
-    return RosBag(path, "ROS 2 bag, SQLite", _open_sqlite, CDR, "try `sqlite3 FILE .recover`, or record it again")
+    repair = "try `sqlite3 FILE .recover`, or record it again"
+    with damage(path, repair):  # somebody may remove it
+        _check_sqlite(path)
+    return RosBag(path, "ROS 2 bag, SQLite", _open_sqlite, CDR, repair)
 
 
 def open_folder(path: Path) -> RosBag:
