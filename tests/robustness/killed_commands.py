@@ -1,13 +1,15 @@
 """A process that runs commands in children of its own and kills them: it reads jobs, a line of JSON each, from stdin.
 
 A job: {"words": the command's, "signal": a signal's number, "after_s": when it is sent; null: never, "most_bytes": of a
-file; null: any}. The answer: the exit code, negative for a signal, the seconds that the child ran, and what it wrote to
-stderr. Children begin with everything imported. The one argument is the file for their stderr.
+file; null: any, "again_s": when the same command begins beside it; null: never}. The answer, of each of the two: the
+exit code, negative for a signal, the seconds that the child ran, and what it wrote to stderr. Children begin with
+everything imported. The one argument is the file for their stderr; that of the second ends in "-again".
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import sys
@@ -15,11 +17,12 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
 import lidar2pano.train.engine  # noqa: F401 imported once, before any child begins
-from lidar2pano.cli import main
+from lidar2pano.cli import console, main
 from lidar2pano.cli.app import exit_status
 from lidar2pano.cli.console import print_error
 from lidar2pano.models import card  # noqa: F401
@@ -85,11 +88,11 @@ def shorten_recipes() -> None:
     run._camera_segmenter_ms = lambda *_: None
 
 
-def child(words: list[str], most_bytes: int | None) -> int:
+def child(words: list[str], most_bytes: int | None, errors: Path) -> int:
     """Run a command as the program does; `most_bytes` of a file it may write."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 1)
-    os.dup2(os.open(ERRORS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 2)
+    os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 2)
     if most_bytes is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
     torch.set_num_threads(1)
@@ -99,27 +102,41 @@ def child(words: list[str], most_bytes: int | None) -> int:
     return main()
 
 
+def begin(job: dict[str, Any], errors: Path) -> int:
+    """Begin a job's command and return the number of its process."""
+    if process := os.fork():
+        return process
+    code = 99
+    try:
+        code = child(job["words"], job["most_bytes"], errors)
+    finally:
+        os._exit(code)
+
+
+def end(process: int, errors: Path, began: float) -> tuple[int, float, str]:
+    """Wait for a command and return its part of the answer."""
+    _, status = os.waitpid(process, 0)
+    return os.waitstatus_to_exitcode(status), time.monotonic() - began, errors.read_text(errors="replace")
+
+
 def serve() -> None:
     """Do the jobs."""
     for table, name, value in entries():
         table[name] = value
     shorten_recipes()
+    console.LINES_S = (math.inf,)  # on a busy machine lines about progress would stand among those that tests expect
     for line in sys.stdin:
         job = json.loads(line)
         began = time.monotonic()
-        process = os.fork()
-        if not process:
-            code = 99
-            try:
-                code = child(job["words"], job["most_bytes"])
-            finally:
-                os._exit(code)
+        begun = [(begin(job, ERRORS), ERRORS)]
+        if job["again_s"] is not None:
+            time.sleep(job["again_s"])
+            again = ERRORS.with_name(f"{ERRORS.name}-again")
+            begun.append((begin(job, again), again))
         if job["after_s"] is not None:
             time.sleep(job["after_s"])
-            os.kill(process, job["signal"])
-        _, status = os.waitpid(process, 0)
-        said = ERRORS.read_text(errors="replace")
-        print(json.dumps([os.waitstatus_to_exitcode(status), time.monotonic() - began, said]), flush=True)
+            os.kill(begun[0][0], job["signal"])
+        print(json.dumps([end(*one, began) for one in begun]), flush=True)
 
 
 if __name__ == "__main__":

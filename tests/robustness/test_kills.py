@@ -20,22 +20,15 @@ import miniature
 import miniature_surround
 import miniature_video
 from lidar2pano.cli.app import INTERRUPTED, TERMINATED
-from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models import build
-from lidar2pano.models.camera_teachers import ImageNormalisation
 from lidar2pano.models.card import Card, save
-from random_weights import street, write_data_set, write_scan
+from outputs import check_leavings, contents, plain
+from random_weights import street, write_camera_teacher, write_data_set, write_scan
 from small_recipes import SMALL
 from toy_training import gap
 
 ENDS = (0, TERMINATED, INTERRUPTED, -signal.SIGKILL, -signal.SIGTERM)
-LEAVINGS = ("*.part", ".*", "*.old")
 Run = Callable[..., tuple[int, float, str]]
-
-
-def contents(folder: Path, without: tuple[str, ...] = ()) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in without)
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def after_kills(run: Run, words: Callable[[Path], list[str]], fresh: Callable[[Path], Path], kills: int) -> list[Path]:
@@ -63,7 +56,7 @@ def check(whole: Path, folders: list[Path], without: tuple[str, ...] = ()) -> No
     assert expected
     for folder in folders:
         assert contents(folder, without) == expected
-        assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]
+        check_leavings(folder)
 
 
 @pytest.fixture
@@ -105,14 +98,6 @@ def test_world(here, run, kills):
     check(here / "timed", after_kills(run, words, absolute, kills))
 
 
-def write_camera_teacher(path: Path) -> Path:
-    settings = {"width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16, "scales": [1.0]}
-    torch.manual_seed(0)
-    card = {"labels": CITYSCAPES.name, "normalisation": ImageNormalisation().as_dict()}
-    save(path, build("sdnet", **settings).eval(), Card(network="sdnet", settings=settings, **card))
-    return path
-
-
 def test_prepare(here, run, kills):
     camera = write_camera_teacher(here / "sdnet.safetensors")
 
@@ -135,7 +120,7 @@ def test_prepare(here, run, kills):
 def check_runs(whole: Path, folders: list[Path]) -> None:
     for folder in folders:
         assert gap(whole, folder) == 0
-        assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]
+        check_leavings(folder)
         assert len(list((folder / "checkpoints").iterdir())) == 1
 
 
@@ -220,7 +205,8 @@ def test_train_of_every_family(here, run, kills, recipe):
         return ["train", recipe, "--data", str(data), "--out", str(out), "--device", "cpu", *own]
 
     check_runs(here / "timed", after_kills(run, words, absolute, kills))
-    assert not [path for pattern in LEAVINGS for path in here.glob(f"*-frames/**/{pattern}")]
+    for cache in here.glob("*-frames"):
+        check_leavings(cache)
 
 
 def test_export(here, run, kills):
@@ -249,16 +235,6 @@ def test_bulk(here, run, kills):
         assert sorted(line["input"] for line in lines) == [f"{number:06d}.bin" for number in range(4)]
 
 
-TIMES_AND_NAMES = ("milliseconds", "others", "hours", "weights", "key")  # which differ from run to run
-
-
-def plain(value: object) -> object:
-    """A row's evaluation without what differs from run to run: times, and names of folders."""
-    if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items() if key not in TIMES_AND_NAMES}
-    return [plain(part) for part in value] if isinstance(value, list) else value
-
-
 def test_reproduce(here, run, kills):
     data = miniature.write_data_set(here / "data")
 
@@ -275,4 +251,4 @@ def test_reproduce(here, run, kills):
         )
         for part in ("images", "sheets", "data"):
             assert contents(folder / part) == contents(here / "timed" / part)
-        assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]
+        check_leavings(folder)

@@ -14,8 +14,9 @@ from torch import nn
 
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.projection import Normalisation
-from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI
 from lidar2pano.models import build
+from lidar2pano.models.camera_teachers import ImageNormalisation
 from lidar2pano.models.card import Card, save
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS
@@ -90,6 +91,15 @@ def write_front(folder: Path) -> Path:
         folder, "titan", "titan", {"size": [48, 160]}, labels="common-14", views=views, normalisation=_plain()
     )
     return folder
+
+
+def write_camera_teacher(path: Path) -> Path:
+    """Save an untrained, small SD-Net, a teacher of camera images."""
+    settings = {"width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16, "scales": [1.0]}
+    torch.manual_seed(0)
+    card = {"labels": CITYSCAPES.name, "normalisation": ImageNormalisation().as_dict()}
+    save(path, build("sdnet", **settings).eval(), Card(network="sdnet", settings=settings, **card))
+    return path
 
 
 def street(points: int = 4000, seed: int = 0) -> Scan:
