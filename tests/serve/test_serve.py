@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import gzip
 import http.client
 import importlib
@@ -547,6 +548,8 @@ def test_results_are_kept_for_a_while():
     kept = KeptResults(Limits(kept=2, kept_seconds=10), lambda: now[0])
     results = [Result(files={}, points=number, dropped=0, milliseconds={}) for number in range(3)]
     names = [kept.keep(result) for result in results]
+    assert len(set(names)) == 3
+    assert all(len(base64.urlsafe_b64decode(name + "==")) >= 16 for name in names)  # nobody guesses 128 bits
     assert [kept.get(name) for name in names] == [None, results[1], results[2]]
     now[0] = 11
     assert kept.get(names[2]) is None
@@ -623,7 +626,7 @@ def test_twice_the_capacity(scan, monkeypatch):
 
 
 def test_the_command(random_weights, scan):
-    """A process of its own: it says where it listens, and SIGTERM lets it finish what it works at."""
+    """A process of its own: it says where it listens, no log names a result, SIGTERM lets it finish its work."""
     words = ["serve", "--port", "0", "--weights", str(random_weights), "--device", "cpu"]
     process = subprocess.Popen(
         [sys.executable, "-m", "lidar2pano", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -637,13 +640,16 @@ def test_the_command(random_weights, scan):
         begin = time.monotonic()
         assert server.ask("POST", "/panorama", scan[0])[0] == 200
         usual_s = time.monotonic() - begin
+        link = json.loads(server.ask("POST", "/panorama?as=json", scan[0])[2])["outputs"]["rgb"]
+        assert server.ask("GET", link)[0] == 200
         taken = server.sent(scan[0])
         while server.waiting() < 1:
             time.sleep(0.005)
         process.send_signal(signal.SIGTERM)
         answer = taken.recv(100)
         taken.close()
-        _, errors = process.communicate(timeout=60)
+        output, errors = process.communicate(timeout=60)
+        assert link.split("/")[2] not in output + errors
         if usual_s < 1:  # in a machine too busy for a panorama in four seconds, it ends without
             assert answer.startswith(b"HTTP/1.1 200") and process.returncode == 0
             assert errors.count("\n") == 1 and "not for commercial use" in errors
