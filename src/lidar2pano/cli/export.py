@@ -31,11 +31,9 @@ def export(
     from lidar2pano.appearance.invented_textures import BITS, noise_tile
     from lidar2pano.cli.options import check_folder
     from lidar2pano.engines.export import Exportable, check_exportable, export
-    from lidar2pano.hardware import keep_buffers
     from lidar2pano.pipeline import load
 
     folder = check_folder(onnx, "--onnx")
-    keep_buffers()
     pipeline = load(weights, "cpu", "torch")
     networks = networks_of(pipeline)
     check_exportable({name: model for name, (_, model, _) in networks.items()})

@@ -88,7 +88,7 @@ def compare(compiled: bytes, part: Exportable, inputs: tuple[Tensor, ...]) -> fl
 
     Raises InputError where it is above TOLERANCE, or another class is the best one by more than that.
     """
-    opened, signature = session(compiled), SIGNATURES[part.model]
+    opened, signature = session(compiled, keeps=False), SIGNATURES[part.model]
     greatest = 0.0
     for batch in (inputs, tuple(tensor[:1] for tensor in inputs)):
         arrays = (tensor.float().contiguous().numpy() for tensor in batch)

@@ -55,7 +55,7 @@ def recordable(network: nn.Module, inputs: Sequence[Tensor]) -> nn.Module:
     It is run once: values computed only once must exist before recording begins.
     """
     with recording():
-        own = copy.deepcopy(network).cpu()
+        own = copy.deepcopy(network).cpu().requires_grad_(False)  # or all activations would be kept for gradients
         own(*inputs)
     return own
 
@@ -122,13 +122,17 @@ def graph(network: nn.Module, model: str, inputs: Sequence[Tensor], metadata: Ma
     return proto
 
 
-def session(compiled: bytes | str, device_type: str = "cpu") -> Any:  # noqa: ANN401
-    """Return an onnxruntime.InferenceSession with as many threads as torch."""
+def session(compiled: bytes | str, device_type: str = "cpu", keeps: bool = True) -> Any:  # noqa: ANN401
+    """Return an onnxruntime.InferenceSession with as many threads as torch.
+
+    keeps  memory between calls, which is faster; it is more than a call takes.
+    """
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
     options.log_severity_level = 3  # errors
+    options.enable_cpu_mem_arena = keeps
     return onnxruntime.InferenceSession(compiled, options, providers=[PROVIDERS[device_type]])
 
 
