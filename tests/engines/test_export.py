@@ -16,6 +16,7 @@ from lidar2pano.cli import main
 from lidar2pano.cli.export import networks_of, record_inputs
 from lidar2pano.engines import export as engine_export
 from lidar2pano.engines.export import Exportable, check_exportable, export
+from lidar2pano.engines.runtimes import recordable
 from lidar2pano.engines.signatures import SIGNATURES
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import Card, save
@@ -160,6 +161,14 @@ def test_what_cannot_be_exported(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert said == "lidar2pano: the export needs the extra 'export': pip install 'lidar2pano[export]'\n"
     assert not (tmp_path / "graphs").exists()
+
+
+def test_what_is_recorded_keeps_nothing_for_gradients():
+    """Of panoramas it would be gigabytes."""
+    network, image = torch.nn.Conv2d(1, 1, 3), torch.ones(1, 1, 8, 8)
+    with torch.enable_grad():
+        assert not recordable(network, (image,))(image).requires_grad
+        assert network(image).requires_grad
 
 
 def test_every_tensor_has_its_content_said():
