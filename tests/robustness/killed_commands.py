@@ -20,11 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 import lidar2pano.train.engine  # noqa: F401 imported once, before any child begins
 from lidar2pano.cli import console, main
 from lidar2pano.cli.app import exit_status
 from lidar2pano.cli.console import print_error
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.models import card  # noqa: F401
 from lidar2pano.reproduce import run
 from lidar2pano.simulate import generation  # noqa: F401
@@ -88,6 +90,24 @@ def shorten_recipes() -> None:
     run._camera_segmenter_ms = lambda *_: None
 
 
+def keep_graphs() -> None:
+    """Let `export` record each graph once for all commands: it takes half a minute, in which nothing is written."""
+    import onnx
+    import onnxruntime  # noqa: F401
+    import onnxscript  # noqa: F401
+
+    from lidar2pano.engines import export, runtimes
+
+    def graph(network: nn.Module, model: str, inputs: Any, metadata: dict[str, str]) -> Any:
+        path = ERRORS.with_name(f"{metadata['role']}.onnx")
+        if not path.is_file():
+            proto = runtimes.graph(network, model, inputs, metadata)
+            write_whole(path, lambda part: part.write_bytes(proto.SerializeToString()))
+        return onnx.load(path)
+
+    export.graph = graph
+
+
 def child(words: list[str], most_bytes: int | None, errors: Path) -> int:
     """Run a command as the program does; `most_bytes` of a file it may write."""
     nowhere = os.open(os.devnull, os.O_RDWR)
@@ -127,9 +147,8 @@ def serve() -> None:
     console.LINES_S = (math.inf,)  # on a busy machine lines about progress would stand among those that tests expect
     for line in sys.stdin:
         job = json.loads(line)
-        if job["words"][0] == "export":  # its libraries take as long as the rest
-            import onnxruntime  # noqa: F401
-            import onnxscript  # noqa: F401
+        if job["words"][0] == "export":
+            keep_graphs()
         began = time.monotonic()
         begun = [(begin(job, ERRORS), ERRORS)]
         if job["again_s"] is not None:
