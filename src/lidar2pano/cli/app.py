@@ -41,7 +41,8 @@ NAMES_ERRORS = {
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.ENOTEMPTY, errno.EFBIG),
 }
 EVERYWHERE = ("--debug", "--verbose", "--quiet")  # options that may stand behind any command, too
-NO_MEMORY = ("allocate memory", "out of memory", "Cannot allocate")  # in messages of libraries
+# In messages of libraries; the last is oneDNN's, of an operation that it has found possible before.
+NO_MEMORY = ("allocate memory", "out of memory", "Cannot allocate", "bad_alloc", "could not create a primitive")
 
 
 class Terminated(KeyboardInterrupt):
@@ -259,7 +260,7 @@ def exit_status(error: BaseException) -> tuple[int, str]:
         return MISTAKE, f"this command needs {_missing(error)}: pip install 'lidar2pano[{extra}]'"
     if message := getattr(error, "format_message", None):  # typer's own complaint about arguments
         return MISTAKE, f"{message().rstrip('.')}; see lidar2pano --help"
-    if isinstance(error, RuntimeError) and any(text in str(error) for text in NO_MEMORY):
+    if isinstance(error, Exception) and any(text in str(error) for text in NO_MEMORY):
         return exit_status(MemoryError())
     if isinstance(error, OSError):
         code = MISTAKE if error.errno in NAMES_ERRORS else BROKEN
