@@ -10,6 +10,7 @@ import pytest
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import decode, is_table, numbers
 from lidar2pano.formats.field_names import column
+from lidar2pano.formats.readers import read
 
 PATH = Path("a.csv")
 
@@ -152,3 +153,48 @@ def test_tables_of_points_among_files():
     assert not is_table(b"time,latitude,longitude\n1,2,3\n") and not is_table(b"read me 1 2\n1 2 3\n")
     assert not is_table(b"t,ax,ay,az\n1,2,3,4\n") and not is_table(b"time,tx,ty,tz,qx,qy,qz,qw\n1,2,3,4,5,6,7,8\n")
     assert not is_table(b" ".join([b"1"] * 12) + b"\n")  # poses
+
+
+@pytest.mark.parametrize(
+    ("header", "encoding"),
+    [
+        ("X\u5750\u6807,Y\u5750\u6807,Z\u5750\u6807,\u53cd\u5c04\u5f3a\u5ea6", "gbk"),
+        ("X\u5ea7\u6a19,Y\u5ea7\u6a19,Z\u5ea7\u6a19,\u53cd\u5c04\u5f37\u5ea6", "shift-jis"),
+        ("x,y,z,\ubc18\uc0ac\uac15\ub3c4", "euc-kr"),
+        ("x,y,z,\u0418\u043d\u0442\u0435\u043d\u0441\u0438\u0432\u043d\u043e\u0441\u0442\u044c", "cp1251"),
+        ("x,y,z,Intensit\xe4t", "cp1252"),
+    ],
+)
+def test_headers_in_older_encodings_name_the_remission(header, encoding):
+    cloud = decode(header.encode(encoding) + b"\n1,2,3,0.5\n4,5,6,0.25\n", PATH)
+    assert cloud.intensity is not None and cloud.intensity.tolist() == [0.5, 0.25]
+    assert cloud.fields[3] == header.split(",")[3]
+
+
+@pytest.mark.parametrize("quotes", ["\u201c\u201d", "\u201e\u201c", "\xab\xbb", "\uff02\uff02"])
+def test_quotes_of_word_processors_are_quotes(quotes):
+    lines = [["x", "y", "z", "intensity"], ["1.5", "2", "3", "0.5"], ["4", "5", "6", "0.25"]]
+    text = "\n".join(",".join(f"{quotes[0]}{cell}{quotes[1]}" for cell in line) for line in lines)
+    cloud = decode(text.encode(), PATH)
+    assert cloud.xyz.tolist() == [[1.5, 2, 3], [4, 5, 6]] and cloud.intensity is not None
+
+
+def test_signs_of_chinese_keyboards_are_separators():
+    assert decode("x\uff0cy\uff0cz\n1.5\uff0c\uff0d2\uff0c3\n".encode(), PATH).xyz.tolist() == [[1.5, -2, 3]]
+
+
+def test_numbers_of_rows_need_no_name():
+    """R's write.table and pandas' to_string leave the name of that column out."""
+    text = b"x y z intensity\n1 1.5 2 3 0.5\n2 4 5 6 0.25\n3 7 8 9 1\n"
+    assert decode(text, PATH).xyz.tolist() == [[1.5, 2, 3], [4, 5, 6], [7, 8, 9]]
+    with pytest.raises(InputError, match="its header names 4 columns, but lines have 5"):
+        decode(b"x y z intensity\n1.5 2 3 0.5 9\n4 5 6 0.25 9\n", PATH)
+
+
+@pytest.mark.parametrize("time", ["20190402T074603.248383", "2019-04-02 07:46:03.2", "2019-04-02T07:46:03Z"])
+def test_times_of_a_clock_are_no_words(time, tmp_path):
+    """A table without a header, and one in a file named .bin."""
+    points = np.random.default_rng(0).uniform(-9, 9, (900, 3)).round(3)
+    path = tmp_path / "a.bin"
+    path.write_text("".join(f"{time},{x},{y},{z}\n" for x, y, z in points))
+    np.testing.assert_allclose(read(path).xyz, points, atol=1e-6)

@@ -13,9 +13,20 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.field_names import Column, are_numbered, column, has_axes, meanings, unit_factor
+from lidar2pano.formats.field_names import (
+    INTENSITY_WORDS,
+    RING_WORDS,
+    TIME_WORDS,
+    Column,
+    are_numbered,
+    column,
+    find_named,
+    has_axes,
+    meanings,
+    unit_factor,
+)
 from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import column_names
 
 SEPARATORS = bytes.maketrans(b",;\t|()[]", b"        ")
@@ -30,7 +41,13 @@ FORTRAN = re.compile(rb"(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+))[dD](?=[-+]?\d+(?![\
 APOSTROPHE = re.compile(rb"(?<=\d)(?:'|\xe2\x80\x99)(?=\d{3})")  # 1'234.5
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
 REMARK = re.compile(r"^(?:#+|//)\s*")
-MINUS, HARD_SPACE, NARROW_SPACE = "\u2212".encode(), "\u00a0".encode(), "\u202f".encode()
+PLAIN = {  # characters of word processors and of other keyboards -> what tables have
+    **dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\uff02", '"'), **dict.fromkeys("\u00a0\u202f", ""),
+    "\u2212": "-", "\uff0d": "-", "\uff0c": ",", "\u3001": ",", "\uff1b": ";", "\uff0e": ".", "\u3000": " ",
+}  # fmt: skip
+# Of texts that are no UTF-8, the most particular first: nearly all bytes are some text in the last ones.
+ENCODINGS = ("euc-kr", "gb18030", "shift-jis", "big5", "cp1251", "cp1252")
+CLOCK_TIME = re.compile(r"\d{4}-?\d\d-?\d\d[T ]?\d\d:?\d\d:?\d\d(?:[.,]\d+)?(?:Z|[-+]\d\d:?\d\d)?")  # ISO 8601
 SAMPLE_LINES = 64
 MOST_UNNAMED = 9  # columns of a table without header, for it to be a scan among a folder's files
 MOST_NAMED = 12  # columns in a message
@@ -44,7 +61,7 @@ LEAST = 3  # columns
 def has_points(head: bytes) -> bool:
     """Return whether a file begins with text, a line of which has three numbers or the names of axes."""
     lines = _sample(head)
-    return any(len(cells) >= LEAST and _all_numbers(cells) for cells in lines) or any(map(_is_header, lines[:8]))
+    return any(_are_values(cells) for cells in lines) or any(map(_is_header, lines[:8]))
 
 
 def first_line(head: bytes) -> str | None:
@@ -81,12 +98,16 @@ def decode(data: bytes, path: Path) -> PointCloud:
     table, left_out = numbers(data, path, len(first))
     if claimed is not None and claimed != len(table):
         raise InputError(f"{path}: its first line says {claimed} points, but it holds {len(table)}; fetch it again")
+    if len(header) == table.shape[1] - 1 and bool((np.diff(table[:, 0]) == 1).all()):
+        header = [Column("index"), *header]  # R's and pandas' own numbers of rows have no name
     if header and len(header) != table.shape[1]:
         commas = ", or write its numbers with points" * (table.shape[1] == 2 * len(header))
         raise InputError(
             f"{path}: its header names {len(header)} columns, but lines have {table.shape[1]}; repair it{commas}"
         )
     columns: dict[str, np.ndarray] = {}
+    if not header:
+        table = table[:, np.isfinite(table).any(axis=0)]  # others are times of a clock, or words
     for (name, factor), values in zip(header or map(Column, column_names(table)), table.T, strict=True):
         columns.setdefault(name, values if factor == 1 else values * factor)
     form = "with a header" if header else "count and numbers" if claimed is not None else "numbers only"
@@ -103,8 +124,9 @@ def _plain_numbers(data: bytes) -> bytes:
     """
     if b"\n" not in data[:HEAD_BYTES]:
         data = data.replace(b"\r", b"\n")
-    for sign, plain in ((MINUS, b"-"), (NARROW_SPACE, b""), (HARD_SPACE, b"")):
-        data = data.replace(sign, plain) if sign in data[:HEAD_BYTES] else data
+    head = data[:HEAD_BYTES]
+    for sign, plain in PLAIN.items() if not head.isascii() else ():
+        data = data.replace(sign.encode(), plain.encode()) if sign.encode() in head else data
     head = data[:HEAD_BYTES]
     data = FORTRAN.sub(rb"\1e", data) if FORTRAN.search(head) else data
     data = APOSTROPHE.sub(b"", data) if APOSTROPHE.search(head) else data
@@ -146,7 +168,7 @@ def numbers(data: bytes, path: Path, width: int) -> Table:
         table[count : count + len(rows)] = rows
         count += len(rows)
     if not count:
-        raise InputError(f"{path}: holds no points; name a scan that has some")
+        raise sweep_error(path, 0)
     return Table(table[:count], left_out)
 
 
@@ -225,7 +247,7 @@ def _preamble(data: bytes, path: Path) -> tuple[list[Column], int | None, bytes]
         if end < 0 and len(data) - start > MOST_LINE:
             raise InputError(f"{path}: its first line has more than {MOST_LINE} characters; name a scan")
         end = len(data) if end < 0 else end
-        text = data[start:end].decode("utf-8", "replace").strip()
+        text = _text(data[start:end])
         cells = _cells(REMARK.sub("", text))
         remark = text.startswith(("#", "//", "sep="))
         if claimed is None and len(cells) == 1 and cells[0].isdecimal() and len(cells[0]) < MOST_DIGITS:
@@ -246,6 +268,20 @@ def _preamble(data: bytes, path: Path) -> tuple[list[Column], int | None, bytes]
         held = ", ".join(words[:MOST_NAMED]) + (" ..." if len(words) > MOST_NAMED else "")
         raise InputError(f"{path}: its header names no axes (it has {held}); call three of its columns x, y and z")
     return header, claimed, data[start:]
+
+
+def _text(line: bytes) -> str:
+    """Return a line of any encoding: of those in which it is text, the first in which it names a remission or so."""
+    texts: list[str] = []
+    accents = not re.search(rb"[\x80-\xff]{2}", line)  # letters of the West stand alone, others side by side
+    for encoding in ("utf-8", *(ENCODINGS[::-1] if accents else ENCODINGS)):
+        try:
+            texts.append(line.decode(encoding).strip())
+        except UnicodeDecodeError:
+            continue
+        if encoding == "utf-8" or find_named(_cells(texts[-1]), (), (*INTENSITY_WORDS, *TIME_WORDS, *RING_WORDS)):
+            return texts[-1]
+    return texts[-1] if texts else line.decode("latin-1").strip()
 
 
 def _in_unit(column: Column, cell: str) -> Column:
@@ -286,6 +322,12 @@ def _cells(line: str, width: int = 0) -> list[str]:
                 cells.pop()
             return [cell.strip().strip('"') for cell in cells]
     return [cell.strip('"') for cell in re.split(r"\s+(?![\[(])", line)] if line else []
+
+
+def _are_values(cells: list[str]) -> bool:
+    """Return whether cells are numbers, three or more, and times of a clock."""
+    values = [cell for cell in cells if not CLOCK_TIME.fullmatch(cell)]
+    return len(values) >= LEAST and _all_numbers(values)
 
 
 def _all_numbers(cells: list[str]) -> bool:
