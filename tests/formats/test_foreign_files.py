@@ -65,6 +65,21 @@ def zipped(name: str) -> bytes:
         (b"2\n1\n" + b"0 0 0\n" * 4 + b"0 0 0 1\n" * 4 + b"1 2 3 0.5\n" * 2, "is a PTX"),
         (zipped("a.bin"), r"is a ZIP archive without arrays \(it has a.bin\); unpack it"),
         (b"\x89PNG\r\n\x1a\n" + bytes(90), "is a picture"),
+        (b"\x76\x2f\x31\x01\x02\0\0\0" + bytes(90), "is a picture"),
+        (b"%time,field.header.seq,field.data0\n1700,1,5\n", "is a print of messages .*; name the recording"),
+        (b"header: \n  seq: 1\n  stamp: \n    secs: 1\ndata: [1, 2, 3]\n", "is a print of messages"),
+        (b"header:\n  stamp:\n    sec: 1\n", "is a print of messages"),
+        (b"rosbag2_bagfile_information:\n  version: 5\n", "is the description of a ROS 2 bag; name its folder"),
+        (b'{"a": 1,\n "lidar_mode": "1024x10"}\n', "is the description of an Ouster sensor; name the capture"),
+        (b"P0: 7.1e+02 0 0 0 0 1\n", "is a calibration; name it with --calib"),
+        (b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\n", "is a log of a satellite receiver"),
+        (b"0\nSECTION\n2\nENTITIES\n", "is a DXF drawing"),
+        (b"ULog\x01\x12\x35\x01" + bytes(90), "is a log of a flight controller"),
+        (b"\xa3\x95\x80\x80\x59FMT" + bytes(90), "is a log of a flight controller"),
+        (b"pnts\x01\0\0\0" + bytes(90), "is a tile of 3D Tiles"),
+        (zipped("[Content_Types].xml"), "is a sheet or document of an office program; save it as CSV"),
+        (zipped("mimetype"), "is a sheet or document"),
+        (zipped("archive/data.pkl"), "is a file of PyTorch"),
     ],
 )
 @pytest.mark.parametrize("name", ["a.bin", "a.csv", "a"])
@@ -99,3 +114,17 @@ def test_marks_before_the_first_byte(tmp_path, encoding, name):
 def test_other_bytes_stay_as_they_are():
     for data in (b"", b"\xff\xfe", bytes(100), np.arange(50, dtype="<f4").tobytes(), b"\xef\xbb\xbf\x41" * 30):
         assert plain_text(data) == data
+
+
+@pytest.mark.parametrize("name", ["a.tfrecord", "a.tfrecord-00003-of-01000", "a.TFRecord.part"])
+def test_records_of_tensorflow_are_named_by_their_files(tmp_path, name):
+    with pytest.raises(InputError, match="is a TFRecord"):
+        read(made.write(tmp_path, name, b"\x81\x12" + bytes(6) + b"\xaa\xbb\xcc\xdd" + bytes(90)))
+
+
+def test_splats_are_no_scan(tmp_path):
+    names = ("x", "y", "z", "f_dc_0", "opacity", "rot_0")
+    header = "".join(f"property float {name}\n" for name in names)
+    text = f"ply\nformat ascii 1.0\nelement vertex 1\n{header}end_header\n1 2 3 4 5 6\n"
+    with pytest.raises(InputError, match="holds Gaussian splats, a scene learned from photographs"):
+        read(made.write(tmp_path, "a.ply", text.encode()))

@@ -142,7 +142,7 @@ def test_what_is_of_no_format(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "text", ["header:\n  stamp:\n    sec: 1\n", "Car 0.00 0 -1.57 1 2 3\n", "P0: 1 0 0 0 0 1\n", "0.1\n0.2\n"]
+    "text", ["header:\n  name: a\n", "Car 0.00 0 -1.57 1 2 3\n", "P0 = 1 0 0 0 0 1\n", "0.1\n0.2\n"]
 )
 def test_a_text_of_no_table_is_shown(tmp_path: Path, text):
     (tmp_path / "a.txt").write_text(text)

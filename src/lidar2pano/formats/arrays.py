@@ -23,12 +23,14 @@ from lidar2pano.formats.field_names import (
     RING_WORDS,
     TIME,
     TIME_WORDS,
+    are_numbered,
     find_named,
     has_axes,
     meanings,
     spherical,
 )
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.foreign_files import archive_kind
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import column_names, row_width
 
@@ -181,7 +183,7 @@ def _layout(message: Any, length: int, name: str) -> tuple[tuple[int, int], tupl
     if rows * width > MOST_POINTS:
         raise sweep_error(name, rows * width)
     if rows * width == 0:
-        raise InputError(f"{name}: holds no points; name a scan that has some")
+        raise sweep_error(name, 0)
     sizes = [(int(each.offset), DATATYPES.get(int(each.datatype), "f4")) for each in message.fields]
     end = max((offset + int(kind[1]) for offset, kind in sizes), default=1)
     fits = 0 < step <= length // (rows * width) and end <= step
@@ -217,9 +219,8 @@ def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str,
 
 
 def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    for array in arrays.values():
-        if array.dtype.names and has_axes(list(fields := _fields(array.reshape(-1)))):
-            return fields
+    if records := next(filter(None, map(_columns_of_records, arrays.values())), None):
+        return records
     if (
         len(arrays) > 1
         and all(map(NUMBERED.fullmatch, arrays))
@@ -246,6 +247,19 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         for key in find_named(further, names, words):
             columns = {name: column for name, column in columns.items() if name != key.lower()} | {key: further[key]}
     return columns
+
+
+def _columns_of_records(array: np.ndarray) -> dict[str, np.ndarray] | None:
+    """Return the columns of a structured array of points; None for another."""
+    if not array.dtype.names:
+        return None
+    fields = _fields(array.reshape(-1))
+    if has_axes(list(fields)):
+        return fields
+    if not are_numbered(list(fields)) or len(fields) < len(AXES):
+        return None
+    table = np.column_stack(list(fields.values()))  # with NumPy's own names: f0, f1, ...
+    return dict(zip(column_names(table), table.T, strict=True))
 
 
 def _joined(arrays: list[np.ndarray]) -> np.ndarray | None:
@@ -300,11 +314,7 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
             if not members:
-                held = ", ".join(archive.namelist()[:3]) or "nothing"
-                raise InputError(
-                    f"{path}: is a ZIP archive without arrays (it has {held}); unpack it (`unzip FILE`) and"
-                    " name a scan of it, or its folder"
-                )
+                raise _no_arrays(archive, path)
             if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
                 raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; cut it")
             if any(member.compress_type not in UNPACKED for member in members):
@@ -324,6 +334,17 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
     except Exception as error:  # zlib.error and others of its decompressors
         raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged, fetch it again") from error
     return cloud_of_arrays(arrays, format="NPZ", name=stem_of(path), source=str(path))
+
+
+def _no_arrays(archive: zipfile.ZipFile, path: Path) -> InputError:
+    """Return the error of a ZIP archive without arrays, by what its members tell of it."""
+    names = archive.namelist()[:MOST_MEMBERS]
+    if kind := archive_kind(names):
+        return InputError(f"{path}: is {kind.name}; {kind.advice}")
+    return InputError(
+        f"{path}: is a ZIP archive without arrays (it has {', '.join(names[:3]) or 'nothing'}); unpack it"
+        " (`unzip FILE`) and name a scan of it, or its folder"
+    )
 
 
 def _array(file: IO[bytes], length: int, source: str) -> np.ndarray:

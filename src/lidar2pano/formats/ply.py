@@ -22,6 +22,7 @@ TYPES = {
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8", "int64": "i8", "uint64": "u8",
 }  # fmt: skip
+SPLAT = {"f_dc_0", "opacity", "rot_0"}  # of a vertex, by Kerbl et al. 2023
 WRITTEN = {"float32": "float", "uint8": "uchar", "uint16": "ushort"}  # numpy's name -> PLY's
 OF_CARLA = "it is as CARLA writes it, whose y points to the right; it was mirrored, since ours points to the left"
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -56,6 +57,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
     """Return the vertices without their lists; InputError if header and content do not fit each other."""
     layout, elements, place, start = _whole_header(data, path)
     vertices, last = elements[place], place == len(elements) - 1
+    if {entry.name for entry in vertices.properties} >= SPLAT:
+        raise InputError(f"{path}: holds Gaussian splats, a scene learned from photographs; name a scan")
     if not 0 < vertices.count <= MOST_POINTS:
         raise sweep_error(path, vertices.count)
     if layout == "ascii":
