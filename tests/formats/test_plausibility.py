@@ -11,8 +11,9 @@ import pytest
 import sample_files as made
 from lidar2pano import demo
 from lidar2pano.cli import main
+from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Overrides, interpret
-from lidar2pano.formats.plausibility import repeated_range
+from lidar2pano.formats.plausibility import is_path, repeated_range
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted
 
@@ -92,3 +93,68 @@ def test_strict_makes_an_error_of_a_warning_and_json_carries_it(tmp_path, monkey
     out, err = capsys.readouterr()
     assert "noise.bin: no ground was found" in err and "a warning" in err
     assert "no ground" in json.loads(out)["reading"]["doubts"][0]
+
+
+S_M = np.linspace(0, 400, 2000)
+DRIVE = np.column_stack([S_M, 30 * np.sin(S_M / 60), 0.02 * S_M])
+RANDOM = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        DRIVE,
+        DRIVE + RANDOM.normal(0, 0.05, DRIVE.shape),
+        np.repeat(DRIVE, 3, axis=0),  # it stands now and then
+        np.vstack([DRIVE, DRIVE[::-1] + (0, 4, 0)]),  # and comes back on the other side of the road
+        np.column_stack([50 * np.cos(S_M / 100), 50 * np.sin(S_M / 100), 0 * S_M]) - (50, 0, 0),
+    ],
+)
+def test_a_path_of_places_is_no_scan(path, tmp_path):
+    assert is_path(path)
+    np.column_stack([path, 0 * path[:, 0]]).astype("<f4").tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match=r"a.bin: its points follow each other along a line, as those of a traj"):
+        next(interpreted(tmp_path / "a.bin"))
+
+
+def room(order: str) -> np.ndarray:
+    """A cylinder of 10 m around the sensor without anything in it, measured by 16 beams."""
+    azimuth, z = np.meshgrid(np.linspace(-np.pi, np.pi, 900), np.linspace(-2, 2, 16))
+    return np.stack([10 * np.cos(azimuth), 10 * np.sin(azimuth), z], -1).reshape(-1, 3, order=order)
+
+
+@pytest.mark.parametrize(
+    "scan",
+    [
+        XYZ,
+        XYZ[::50],
+        room("C"),
+        np.stack(np.meshgrid(np.arange(5, 45, 0.2), np.arange(-20, 20, 0.2), [-1.7]), -1).reshape(-1, 3),  # by rows
+    ],
+)
+def test_scans_are_no_paths(scan):
+    assert not is_path(scan)
+
+
+def test_every_real_scan_is_no_path(kitti_mini: Path):
+    for file in sorted(kitti_mini.glob("sequences/*/velodyne/*.bin"))[::16]:
+        assert not is_path(np.fromfile(file, "<f4").reshape(-1, 4)[::3, :3]), file
+
+
+def test_a_scan_without_any_place_is_an_error(tmp_path, capsys):
+    """Zeros or NaN, of a driver whose sensor does not turn: it is no picture of nothing."""
+    for value in (0, np.nan):
+        np.save(tmp_path / "a.npy", np.full((600, 4), value, "<f4"))
+        for command in ("inspect", "translate"):
+            assert main([command, str(tmp_path / "a.npy")]) == 2
+            assert "a.npy: none of its 600 points has a place (all are 0 or NaN)" in capsys.readouterr().err
+
+
+def test_inspect_says_of_a_narrow_view_what_translate_says(tmp_path, capsys):
+    ahead = np.abs(np.arctan2(XYZ[:, 1], XYZ[:, 0])) < np.radians(20)
+    np.column_stack([XYZ, REMISSION])[ahead].astype("<f4").tofile(tmp_path / "a.bin")
+    assert main(["translate", str(tmp_path / "a.bin")]) == 2
+    told = capsys.readouterr().err.strip().partition("a.bin: ")[2]
+    assert "of 360 degrees hold points" in told
+    assert main(["inspect", str(tmp_path / "a.bin"), "--json"]) == 0
+    assert told in json.loads(capsys.readouterr().out)["doubts"]

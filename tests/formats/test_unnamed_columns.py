@@ -10,8 +10,14 @@ import pytest
 import sample_files as made
 from lidar2pano.errors import InputError
 from lidar2pano.formats.arrays import cloud_of
+from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, interpreted, open_path
 from lidar2pano.formats.unnamed_columns import column_names, row_width
+
+
+def cloud(path: Path) -> PointCloud:
+    return next(open_path(path).clouds(path, ReadOptions()))
+
 
 XYZ, RING = made.street(beams=32, columns=360)
 COUNT = len(XYZ)
@@ -114,3 +120,52 @@ def test_angles_of_points_are_no_remission_and_no_time(tmp_path):
         table = np.column_stack([XYZ, angle, vertical, RANGE, FORMS, TIME])
         names = column_names(table)
         assert names == ["x", "y", "z", "angle", "angle", "range", "intensity", "time"]
+
+
+@pytest.mark.parametrize("before", [0, 1])
+@pytest.mark.parametrize("behind", [[], [0, 0, 0, 1]])
+def test_matrices_are_poses_and_no_points(before, behind, tmp_path):
+    angle = np.linspace(0, 3, 300)
+    turn = np.stack([np.cos(angle), -np.sin(angle), 0 * angle, 9 * angle, np.sin(angle), np.cos(angle), 0 * angle,
+                     angle, 0 * angle, 0 * angle, 0 * angle + 1, 0 * angle], axis=1)  # fmt: skip
+    table = np.column_stack([np.arange(300.0)[:, None][:, :before], turn, np.tile(behind, (300, 1))])
+    np.savetxt(tmp_path / "poses.txt", table)
+    with pytest.raises(InputError, match=r"poses.txt: holds places with orientations \(poses, a trajectory\)"):
+        cloud(tmp_path / "poses.txt")
+    table[:, before] *= 1.01  # no rotation: columns of points and what is known of them
+    np.savetxt(tmp_path / "points.txt", table)
+    assert len(cloud(tmp_path / "points.txt")) == 300
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "#t [ns],p_x [m],p_y [m],p_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []",
+        "time,x,y,z,qx,qy,qz,qw",
+        "t,pose.x,pose.y,pose.z,orientation.x,orientation.y,orientation.z,orientation.w",
+    ],
+)
+def test_a_quaternion_among_the_names_is_a_pose(names, tmp_path):
+    (tmp_path / "a.csv").write_text(names + "\n" + "1,2,3,4,0,0,0,1\n" * 5)
+    with pytest.raises(InputError, match="holds places with orientations"):
+        cloud(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text("x,y,z,qx,qy,qz\n" + "1,2,3,4,0,0\n" * 5)  # of no quaternion
+    assert len(cloud(tmp_path / "b.csv")) == 5
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+@pytest.mark.parametrize("unit_m", [1e-3, 1e-6])
+def test_rows_may_be_in_millimetres_and_micrometres(unit_m, kind, tmp_path):
+    np.column_stack([XYZ / unit_m, made.remission(len(XYZ))]).astype(kind).tofile(tmp_path / "a.bin")
+    ((scan, found),) = interpreted(tmp_path / "a.bin")
+    assert found.unit_m == unit_m
+    np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-4)
+
+
+def test_records_with_numpys_own_names_are_a_table(tmp_path):
+    """numpy.genfromtxt gives f0, f1, ..."""
+    table = np.column_stack([XYZ, made.remission(len(XYZ))])
+    records = np.rec.fromarrays(table.T)
+    (tmp_path / "a.npy").write_bytes(made.npy(np.array(records)))
+    read = cloud(tmp_path / "a.npy")
+    assert np.array_equal(read.xyz, XYZ) and read.intensity is not None

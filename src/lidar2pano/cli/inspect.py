@@ -97,6 +97,7 @@ def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
     import numpy as np
 
     from lidar2pano.formats.beams import find_beams
+    from lidar2pano.formats.plausibility import narrow_view
 
     with np.errstate(invalid="ignore"):
         range_m = np.sqrt(np.einsum("ij,ij->i", scan.xyz, scan.xyz, dtype=np.float64))  # no copy of all points
@@ -104,6 +105,8 @@ def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
     beams = find_beams(scan.xyz, scan.ring)
     reading = interpretation.as_dict()
     reading["gaps_deg"], _ = [list(gap) for gap in interpretation.gaps_deg], reading.pop("invented")
+    if narrow := narrow_view(interpretation.gaps_deg):
+        reading["doubts"] = [*interpretation.doubts, narrow]  # an error of translate
     return {
         **reading,
         "ranges_m": [round(float(value), 2) for value in np.percentile(range_m, (0, 50, 100))] if len(range_m) else [],

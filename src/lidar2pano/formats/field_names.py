@@ -56,6 +56,9 @@ SPHERICAL = tuple(
 VECTOR = re.compile(
     r"(?:.*[^a-z])?(?:n|normals?|v|vel\w*|a|acc\w*|g|gyro\w*|w|ang\w*|q|rot\w*|ori\w*|dir\w*|std|sigma)"
 )
+POSE = "pose"  # begins the names of all columns of a table of poses without names
+# "qx", "q_RS_w []", "pose.orientation.x"
+QUATERNION = re.compile(r"(?:.*[^a-z])?(?:q|quat\w*|orient\w*)[^a-z]*(?:[a-z]+[^a-z]+)?([xyzw])[^a-z]*")
 UNIT = re.compile(  # "x [mm]", "Range (m)", "y_mm"
     r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]"
     r"|(\w+?)[ _](m|[dcmu\u00b5\u03bc]m|km|ft|feet|inch(?:es)?|(?:milli|centi|micro)?met(?:re|er)s?)"
@@ -157,6 +160,13 @@ def _alike(names: Sequence[str]) -> dict[int, str]:
                 return {places[letter]: axis for letter, axis in zip(letters, "xyz", strict=True)}
     places = [next((place for place, name in enumerate(names) if form.fullmatch(name.lower())), None) for form in EARTH]
     return {} if None in places else dict(zip((place for place in places if place is not None), "xyz", strict=True))
+
+
+def are_poses(names: Iterable[str]) -> bool:
+    """Return whether names are of poses: "pose 1", or the four parts of a quaternion, which points do not have."""
+    names = [plain_name(name) for name in names]
+    parts = {part[1] for name in names if (part := QUATERNION.fullmatch(name))}
+    return parts == set("xyzw") or f"{POSE} 1" in names
 
 
 def second_pairs(names: Sequence[str]) -> list[tuple[tuple[str, str], str, int]]:

@@ -17,6 +17,7 @@ from lidar2pano.formats.plausibility import (
     doubts_about_ground,
     find_gaps,
     follows_elevation,
+    is_path,
     repeated_point,
     repeated_range,
 )
@@ -24,6 +25,7 @@ from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.sensor_placement import FORWARD, Claims, Placement, is_offset, place
 from lidar2pano.scan import Scan
 
+A_PATH = "its points follow each other along a line, as those of a trajectory or of poses do; name a scan"
 NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
 FEWEST = 1000  # usable points or remissions; fewer decide nothing: they are taken as they are
 NUSCENES_FORMAT = "float32 rows, nuScenes"
@@ -180,7 +182,10 @@ def _finite(values: np.ndarray | None) -> np.ndarray | None:
 
 
 def _returns(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the points (N, 3), NaN at marks of missing returns; the mask (N,) of returns; a sample of these."""
+    """Return the points (N, 3), NaN at marks of missing returns; the mask (N,) of returns; a sample of these.
+
+    Raises InputError for a path of places.
+    """
     with np.errstate(over="ignore"):
         squared = np.einsum("ij,ij->i", xyz, xyz)
     returns = np.isfinite(squared) & (squared > NO_RETURN**2)
@@ -195,6 +200,8 @@ def _returns(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if mark is not None or edges is not None:
         xyz = np.where(returns[:, None], xyz, np.nan)
         sample = xyz[::step][returns[::step]].astype(np.float64)
+    if is_path(sample):
+        raise InputError(A_PATH)
     return xyz, returns, sample
 
 

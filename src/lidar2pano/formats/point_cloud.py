@@ -18,6 +18,7 @@ from lidar2pano.formats.field_names import (
     RING_WORDS,
     TIME,
     TIME_WORDS,
+    are_poses,
     find_named,
     meanings,
     plain_name,
@@ -37,6 +38,8 @@ POLAR_DOUBT = (  # nothing tells the direction of an azimuth
     "its places are of ranges and angles, whose azimuth is taken as counter-clockwise from ahead; if it is clockwise,"
     " as in sensors' own packets, all is mirrored: write x, y and z"
 )
+POSES = "holds places with orientations (poses, a trajectory), and no points; name a scan"
+OTHER = "name a scan that has some"
 MOST_RADIANS, MOST_DEGREES = 6.4, 400.0  # of an azimuth
 MOST_BEAMS = 1 << 16  # numbers beyond are no beams
 SAMPLE = 2000  # values to tell by whether a field says anything
@@ -52,6 +55,10 @@ TURN_S = 0.2  # of the slowest LiDARs, 5 Hz
 HALVES = 3.0  # times the shortest half of the times, from its middle, is more than a turn: uniform times reach 1.5
 STAMP_S = 60.0  # farther from the scan's stamp, times are of another clock
 MOST_ODD = 0.01  # of the points may have no believable time without a word
+
+
+class NoPointsError(InputError):
+    """A scan without any point, as a driver sends one before its sensor turns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,6 +98,11 @@ class PointCloud:
         """Number of points, unusable ones included."""
         return len(self.xyz)
 
+    def require_points(self, title: str) -> None:
+        """Raise NoPointsError, which begins with `title`, if no point has a place."""
+        if not (np.isfinite(self.xyz).all(axis=1) & self.xyz.any(axis=1)).any():
+            raise NoPointsError(f"{title}: none of its {len(self)} points has a place (all are 0 or NaN); {OTHER}")
+
 
 class RowLayout(NamedTuple):
     """How the points of a file follow each other: rows of one type from an offset on, or lines of text.
@@ -108,7 +120,7 @@ class RowLayout(NamedTuple):
 def sweep_error(source: object, points: int) -> InputError:
     """Return the error of a file or message of no points, or of more than a scan may have."""
     if not points:
-        return InputError(f"{source}: holds no points; name a scan that has some")
+        return NoPointsError(f"{source}: holds no points; {OTHER}")
     return InputError(f"{source}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
 
 
@@ -128,6 +140,8 @@ def cloud_of_columns(
     Fields are found by the names above; others are only listed. Raises InputError if x, y or z is missing or there
     is no point; `source`, else the name, begins its message.
     """
+    if are_poses(columns):
+        raise InputError(f"{source or name}: {POSES}")
     key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys() and (polar := spherical(list(columns))):
         columns, doubts = _with_places(columns, polar), [*doubts, POLAR_DOUBT]

@@ -20,7 +20,7 @@ from lidar2pano.scan import Scan
 MOST_BYTES = 16 * MOST_POINTS  # a sparse or wrong file must not fill the memory
 SAMPLE = 20_000  # numbers to tell their type by; coordinates are alike all through a file
 FEWEST_BYTES = 160  # decide, if the name does not
-FAR_M = 1e6  # no coordinate of a scan is beyond: neither in millimetres
+FAR_M = 1e9  # no coordinate of a scan is beyond: neither in micrometres
 SMALLEST = 1e-12  # of a nonzero coordinate
 MOST_ODD, MOST_FAR = 0.25, 0.02  # of the numbers, one of which may be a time; of the coordinates
 KITTI, NUSCENES = ("x", "y", "z", "remission"), ("x", "y", "z", "intensity", "ring")

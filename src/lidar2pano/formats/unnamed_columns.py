@@ -6,6 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
+from lidar2pano.formats.field_names import POSE
+
 MOST_WIDE = 12  # columns of rows without a header
 SAMPLE = 4000  # rows to tell columns by
 FEWEST = 200  # rows; fewer decide nothing
@@ -24,6 +26,8 @@ SPREAD_M = 2.0  # between the 5th and 95th percentile of coordinates along the g
 MOST_RINGS = 256
 SAME_ANGLE, ANGLE_ERROR = 0.999, 0.2  # mean of unit vectors of differences; of the elevations' deviation
 LARGEST = 1e30  # numbers beyond are bytes of something else
+FEWEST_POSES, ROTATION_ERROR = 10, 1e-3
+MATRIX_STARTS = {12: 0, 13: 1, 16: 0, 17: 1}  # by the number of columns
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
 
 
@@ -86,6 +90,8 @@ def column_names(table: np.ndarray) -> list[str]:
     with np.errstate(invalid="ignore", over="ignore"):
         sample = table[:: max(1, len(table) // SAMPLE)].astype(np.float64)
     sample[np.abs(sample) > LARGEST] = np.nan
+    if _are_poses(sample):
+        return [f"{POSE} {number}" for number in range(1, table.shape[1] + 1)]
     names = [f"column {number}" for number in range(1, table.shape[1] + 1)]
     if _is_spherical(sample):
         names[:3] = "range", "azimuth", "elevation"
@@ -114,6 +120,20 @@ def column_names(table: np.ndarray) -> list[str]:
     if left:
         names[left[0]] = "intensity"
     return names
+
+
+def _are_poses(sample: np.ndarray) -> bool:
+    """Return whether rows hold matrices of three rows and four columns, the first three of which are a rotation.
+
+    KITTI has them alone, others behind a time or with a last row 0 0 0 1.
+    """
+    rows = sample[np.isfinite(sample).all(1)]
+    if len(rows) < FEWEST_POSES or rows.shape[1] not in MATRIX_STARTS:
+        return False
+    start = MATRIX_STARTS[rows.shape[1]]
+    rotation = rows[:, start : start + 12].reshape(-1, 3, 4)[:, :, :3]
+    error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
+    return bool(np.mean(error < ROTATION_ERROR) > RANGE_SHARE)
 
 
 def _axes(sample: np.ndarray) -> tuple[list[int], int | None]:
