@@ -200,7 +200,7 @@ def test_a_recording_without_cameras_and_unknown_topics(tmp_path):
     with pytest.raises(InputError, match=r"--cameras: has no images on topic '/front'; it has none"):
         read(path, CameraOptions(topics=("/front",)))
     scan = tmp_path / "a.bin"
-    np.zeros((2000, 4), np.float32).tofile(scan)
+    np.random.default_rng(0).uniform(2, 9, (2000, 4)).astype("<f4").tofile(scan)
     with pytest.raises(InputError, match=r"--cameras /front: .*a.bin is no recording; leave it out"):
         read(scan, CameraOptions(topics=("/front",)))
 

@@ -14,11 +14,14 @@ import pytest
 
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
+from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings import reading_process
 from lidar2pano.recordings.playback import playback
 from lidar2pano.recordings.point_messages import POINTS
-from lidar2pano.recordings.recorded_scans import describe, recording_reader
+from lidar2pano.recordings.recorded_scans import describe, read, recording_reader
+from lidar2pano.scan import Scan
 from miniature import street
 from miniature_recordings import FORMATS, ROS2, START_NS, STEP_NS, Sent, cloud_message, message, odometry, points, write
 from sample_files import zstd
@@ -372,3 +375,28 @@ def test_what_is_no_recording(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         recording_reader(tmp_path / "missing.bag")
     assert isinstance(DRIVE[0], Sent)
+
+
+@pytest.mark.parametrize("format", ["bag", "mcap"])
+@pytest.mark.parametrize("empty", [0, 500])
+def test_scans_without_points_before_the_first_are_passed_over(tmp_path, format, empty):
+    """Drivers send them, of no points or all at the origin, before their sensor turns."""
+    none = Scan(xyz=np.zeros((empty, 3), np.float32), remission=np.zeros(empty, np.float32))
+    sent = [points(scan, START_NS + number * STEP_NS) for number, scan in enumerate([none, none, street(1), street(2)])]
+    path = write(tmp_path, format, sent)
+    assert np.array_equal(read(path).xyz, street(1).xyz)
+    first, second = reading_process.frames(path, ReadOptions())
+    assert (first.number, second.number) == (2, 3)
+    assert first.cloud().doubts == ("2 of the recording's scans before it hold no points, and are passed over",)
+    assert not second.cloud().doubts
+    assert main(["inspect", str(path), "--json"]) == 0
+
+
+def test_a_recording_of_no_points_at_all_says_so(tmp_path):
+    none = Scan(xyz=np.zeros((500, 3), np.float32), remission=np.zeros(500, np.float32))
+    path = write(tmp_path, "mcap", [points(none, START_NS)])
+    with pytest.raises(InputError, match="scan 0: none of its 500 points has a place"):
+        read(path)
+    (frame,) = reading_process.frames(path, ReadOptions())
+    with pytest.raises(InputError, match="scan 0: none of its 500 points has a place"):
+        frame.cloud()

@@ -125,6 +125,7 @@ def interpreted(
     """
     path = Path(path)
     for cloud in open_path(path, readers).clouds(path, options or ReadOptions()):
+        cloud.require_points(f"{path}")
         try:
             scan, interpretation = interpret(cloud, overrides, like)
         except InputError as error:

@@ -18,7 +18,7 @@ from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import MOST_PIXELS, decode_image
 from lidar2pano.formats.json_files import parse_json
-from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.point_cloud import PointCloud, sweep_error
 from lidar2pano.recordings.description import Description, Topic, choose_topic, damage, missing_extra
 from lidar2pano.recordings.ouster_packets import Optics, optics_of
 
@@ -180,7 +180,7 @@ def _cloud(stream: Stream, data: bytes, title: str) -> PointCloud:
         if "range" not in returns[0] or len(stamps_ns) != optics.columns:
             raise ValueError("no ranges of its columns")
         if not valid.any():
-            raise InputError(f"{title}: holds no points; name a scan that has some")
+            raise sweep_error(title, 0)
         columns = np.flatnonzero(valid)
         kept = [{name: values[:, columns] for name, values in layer.items()} for layer in returns if "range" in layer]
         for layer in kept:

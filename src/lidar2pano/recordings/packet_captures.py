@@ -13,7 +13,7 @@ import numpy as np
 
 from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
-from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
 
 PCAP = {b"\xa1\xb2\xc3\xd4": (">", 1e-6), b"\xd4\xc3\xb2\xa1": ("<", 1e-6)}  # magic -> byte order, unit of fractions
@@ -89,7 +89,7 @@ class PacketCapture:
 def cloud_of_turn(stamp_s: float, points: np.ndarray, name: str) -> PointCloud:
     """Return the points of a turn (N,) with fields x y z intensity time ring."""
     if not len(points):
-        raise InputError(f"{name}: holds no points; name a scan that has some")
+        raise sweep_error(name, 0)
     columns = {field: points[field] for field in points.dtype.names or ()}
     return cloud_of_columns(columns, format=VELODYNE, name=name, frame="velodyne", stamp_s=stamp_s)
 

@@ -19,7 +19,7 @@ import numpy as np
 from lidar2pano.child_process import Bound, ChildProcess
 from lidar2pano.errors import InputError
 from lidar2pano.formats.map_blocks import Block, NearBlocks
-from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.point_cloud import NoPointsError, PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings import playback as unlimited
@@ -57,6 +57,7 @@ def _cloud(path: Path, options: ReadOptions, most_points: float) -> PointCloud:
     for cloud in open_path(path).clouds(path, options):
         if len(cloud) > most_points:
             raise InputError(f"{path}: {len(cloud)} points are too many (at most {most_points}); thin it out")
+        cloud.require_points(f"{path}")
         return cloud
     raise InputError(f"{path}: holds no scan; name another file")
 
@@ -78,23 +79,25 @@ def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[Senso
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedFrame:
-    """A scan of a recording, decoded by the child; `error` in place of the points of a damaged one."""
+    """A scan of a recording, decoded by the child; `error` in place of the points of a damaged or empty one."""
 
     number: int
     stamp_s: float
     digest: str
     cloud: PointCloud | None
     error: str = ""
+    empty: bool = False
 
     @classmethod
     def of(cls, frame: Frame) -> DecodedFrame:
         """Decode a scan."""
-        cloud, error = None, ""
+        cloud, error, empty = None, "", False
         try:
             cloud = frame.cloud()
         except InputError as problem:
-            error = str(problem)
-        return cls(number=frame.number, stamp_s=frame.stamp_s, digest=frame.sha256(), cloud=cloud, error=error)
+            error, empty = str(problem), isinstance(problem, NoPointsError)
+        digest = frame.sha256()
+        return cls(number=frame.number, stamp_s=frame.stamp_s, digest=digest, cloud=cloud, error=error, empty=empty)
 
     def frame(self, path: Path) -> Frame:
         """Return it as a scan of the recording at `path`."""
@@ -153,10 +156,23 @@ class FrameIterator:
 
 
 def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-    """Yield the scans of a recording in time, decoded already."""
+    """Yield the scans of a recording in time, decoded already.
+
+    Scans without points before the first one with some are passed over, which is a doubt about that one: drivers send
+    them before their sensor turns. If there are no others, they fail.
+    """
     with closing(_Open(path, FrameIterator, options)) as opened:
-        while (decoded := opened.call("following")) is not None:
+        empty: list[DecodedFrame] = []
+        while (decoded := opened.call("following")) is not None and decoded.empty:
+            empty.append(decoded)
+        if decoded is None:
+            yield from (each.frame(path) for each in empty)
+        elif empty and decoded.cloud is not None:
+            doubt = f"{len(empty)} of the recording's scans before it hold no points, and are passed over"
+            decoded = replace(decoded, cloud=replace(decoded.cloud, doubts=(*decoded.cloud.doubts, doubt)))
+        while decoded is not None:
             yield decoded.frame(path)
+            decoded = opened.call("following")
 
 
 def near_blocks(path: Path, places: np.ndarray, reach_m: float) -> Generator[Block]:

@@ -17,7 +17,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
 from lidar2pano.formats.file_contents import HEAD_BYTES, head_of, is_packed, unpacked_copy
 from lidar2pano.formats.interpretation import Overrides, interpret
-from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.point_cloud import NoPointsError, PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings import transforms
@@ -76,8 +76,12 @@ class Frame:
         return self.digest or hashlib.sha256(content).hexdigest()
 
     def cloud(self) -> PointCloud:
-        """Return the points, with the time of recording for a scan without a stamp of its own."""
+        """Return the points, with the time of recording for a scan without a stamp of its own.
+
+        Raises NoPointsError without any.
+        """
         cloud = self.decode(self.title)
+        cloud.require_points(self.title)
         return replace(cloud, name=self.name, stamp_s=cloud.stamp_s or self.stamp_s)
 
 
@@ -101,9 +105,19 @@ class RecordingReader:
         return self.accept(head, path)
 
     def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
-        """Yield the clouds of the recording, one at a time; InputError at the first damaged one."""
+        """Yield the clouds of the recording, one at a time; InputError at the first damaged one.
+
+        Scans without points are passed over; NoPointsError if there are no others.
+        """
+        empty, count = None, 0
         for frame in self.frames(path, options):
-            yield frame.cloud()
+            try:
+                yield frame.cloud()
+                count += 1
+            except NoPointsError as error:
+                empty = error
+        if empty and not count:
+            raise empty
 
 
 def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[[Path], Recording]) -> RecordingReader:
