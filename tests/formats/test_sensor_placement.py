@@ -264,3 +264,27 @@ def test_inspect_reads_as_translate_would(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "-x is forward (--forward)" in out and "remission  none" in out and "--sensor-height" in out
     assert main(["inspect", str(path), "--forward", "z"]) == 2
+
+
+@pytest.mark.parametrize("aside", [1.2, -2.0])
+@pytest.mark.parametrize("step", [1, 7])
+def test_beams_that_come_from_beside_the_origin_are_doubted(aside, step):
+    """Drivers move points to the vehicle's middle or axle; the ground's height does not show it."""
+    (doubt,) = read(XYZ[::step] + (aside, 0, 0), intensity=None)[1].doubts
+    assert doubt.startswith(f"its beams are far sharper from ({aside:.1f}, ")
+    assert read(XYZ[::step], intensity=None)[1].doubts == ()
+    assert read(XYZ[::step] + (0.2, 0, 0), intensity=None)[1].doubts == ()
+
+
+def test_real_sensors_stand_at_their_origins(kitti_mini: Path):
+    for file in sorted(kitti_mini.glob("sequences/*/velodyne/*.bin"))[::16]:
+        assert not any("sharper" in doubt for doubt in next(interpreted(file))[1].doubts), file
+
+
+def test_a_road_along_y_does_not_say_which_end_is_ahead():
+    x, y, z = XYZ.T
+    for turned in (np.column_stack([y, -x, z]), np.column_stack([-y, x, z])):
+        found = read(turned)[1]
+        assert found.forward == "y" and any("y, not x, is along the road" in doubt for doubt in found.doubts)
+        cloud = PointCloud(xyz=turned.astype(np.float32), format="made up")
+        assert interpret(cloud, Overrides(forward="-y"))[1].doubts == ()
