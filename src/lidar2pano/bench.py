@@ -277,14 +277,18 @@ class Operations:
 
 
 class _Counter(TorchDispatchMode):
-    """Counts dispatched operations by the stage that is set."""
+    """Counts dispatched operations by the stage that is set.
+
+    Those by which autocast rounds to bfloat16 do not count: a device without such units has none.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.stage, self.counts = OUTSIDE, dict[str, int]()
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:  # noqa: ANN401, ARG002
-        self.counts[self.stage] = self.counts.get(self.stage, 0) + 1
+        is_rounding = func is torch.ops.aten.to.dtype and args[1] is torch.bfloat16
+        self.counts[self.stage] = self.counts.get(self.stage, 0) + (not is_rounding)
         return func(*args, **(kwargs or {}))
 
 

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 import lidar2pano
 from installed_families import INSTALLED, needs_streets
-from lidar2pano.bench import BELIEF, WHOLE, measure_operations
+from lidar2pano.bench import BELIEF, WHOLE, _Counter, measure_operations
 from lidar2pano.demo import street
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
@@ -161,6 +162,17 @@ def test_belief_takes_few_tensor_operations() -> None:
     rows = {row.stage: row.operations for row in measure_operations("kitti-mini", "cpu")}
     assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
     assert rows[WHOLE] > sum(rows[stage] for stage in BELIEF)
+
+
+def test_operations_are_as_many_on_every_machine() -> None:
+    """A machine that multiplies bfloat16 rounds inputs and weights before it does."""
+    layer, counts = torch.nn.Conv2d(3, 4, 3), []
+    for rounded in (False, True):
+        counter = _Counter()
+        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=rounded), counter:
+            layer(torch.zeros(1, 3, 8, 8)).float()
+        counts.append(sum(counter.counts.values()))
+    assert counts[0] == counts[1] > 1
 
 
 ROLLED, TURNED = 1152, (slice(None, None, -1),)  # a quarter turn; upside down
