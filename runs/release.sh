@@ -98,10 +98,8 @@ family kitti-mini "$(weights segmenter segmenter)" "$(weights translator transla
 # runs/stages/ keeps the stage `pictures` and the beginning of `latents`, for whoever goes on from there.
 photographs=(data.train="${PHOTOGRAPHS:-train}" training.validate_minutes=0)
 stage pictures autoencoder "$kitti" 70 "${photographs[@]}" options.perceptual=0 options.adversarial=0
-stage autoencoder autoencoder "$kitti" 40 "${photographs[@]}" networks.autoencoder.optimizer.rate=0.0003 \
-  networks.autoencoder.start="$(weights pictures autoencoder)" options.encoder=false
 stage latents latent-painter "$kitti" 240 data.train="${PHOTOGRAPHS:-train},$day:all" training.validate_minutes=0 \
-  "${inputs[@]}" options.autoencoder="$(weights pictures autoencoder)" options.shortcut=0
-stage latent-painter latent-painter "$kitti" 60 data.train="${PHOTOGRAPHS:-train},$day:all" training.validate_minutes=0 \
-  "${inputs[@]}" options.autoencoder="$(weights autoencoder autoencoder)" networks.painter.optimizer.rate=0.0003 \
+  "${inputs[@]}" options.autoencoder="$(weights pictures autoencoder)"
+stage latent-painter latent-texture "$kitti" 95 data.train="${PHOTOGRAPHS:-train},$day:all" training.validate_minutes=0 \
+  "${inputs[@]}" options.autoencoder="$(weights pictures autoencoder)" \
   networks.painter.start="$(weights latents painter)"

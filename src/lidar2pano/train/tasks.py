@@ -12,6 +12,7 @@ from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
 from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2PixSegments
 from lidar2pano.train.latent_painting import LatentPainting
+from lidar2pano.train.latent_texture import LatentTexture
 from lidar2pano.train.panorama import PanoramaTranslation
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.scene_painting import ScenePainting
@@ -31,6 +32,7 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "panorama": PanoramaTranslation,
     "autoencoding": Autoencoding,
     "latent-painting": LatentPainting,
+    "latent-texture": LatentTexture,
     "scene-painting": ScenePainting,
     "video": VideoPainting,
 }

@@ -1,0 +1,119 @@
+"""The latent painter's last stage: pictures of few steps that a critic cannot tell from photographs.
+
+Flow and decoder learn together through all steps of a picture, which starts from noise (adversarial distillation: Sauer
+et al. 2023, arXiv:2311.17042): frozen features and colours of the photograph, the distribution of features in patches,
+and a projected critic. The loss of the flow stays, so that more steps remain possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate, mse_loss
+
+from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.losses import PatchStatistics, pooled
+from lidar2pano.losses.adversarial import DiffAugment
+from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
+from lidar2pano.models.latent_painter import CONDITIONS
+from lidar2pano.train.autoencoding import Texture
+from lidar2pano.train.latent_frames import LatentSample, PicturedFrames
+from lidar2pano.train.latent_painting import LatentPainting, LatentPaintingOptions, latent_painter
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, on_two_cores
+
+MATCHED = 3  # depths of features whose distributions are matched
+
+
+@dataclass(frozen=True, kw_only=True)
+class LatentTextureOptions(LatentPaintingOptions):
+    """The latent painter's texture; further options as of the latent painter.
+
+    flow         weight of the loss of the flow.
+    perceptual   weight of the mean absolute error of frozen features, each in units of its deviation.
+    pooled       weight of the squared error of colours, means of 4 x 4 pixels.
+    statistics   weight of the distance of patches' features from the photographs' distribution.
+    adversarial  weight of the hinge loss of the critic.
+    augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
+    """
+
+    task = "latent-texture"
+    mean: bool = False
+    shortcut: float = 0.0
+    absent_probability: float = 0.0
+    flow: float = 1.0
+    perceptual: float = 2.0
+    pooled: float = 6.0
+    statistics: float = 1.0
+    adversarial: float = 0.6
+    augment_probability: float = 0.4
+
+
+class LatentTexture(LatentPainting):
+    """Trains a latent painter's flow and decoder on pictures of its `steps`; its score is the flow's."""
+
+    frames = PicturedFrames
+    options: LatentTextureOptions
+
+    def __init__(self, recipe: Recipe[LatentTextureOptions], root: Path) -> None:
+        super().__init__(recipe, root)
+        self.painter.decoder.requires_grad_()
+        self.features = ImagenetFeatures.load(LITE0)
+        self.distributions = PatchStatistics(len(self.painter.looks), LITE0.channels[:MATCHED])
+
+    def updates(self, batch: LatentSample) -> Iterator[tuple[str, Tensor]]:
+        """The critic, then the painter."""
+        options = self.options
+        loss = options.flow * self.flow_loss(batch)
+        made = self.painted(batch)
+        real = torch.where(batch.shown[:, None], batch.picture, made.detach())
+        terms = {"pooled": options.pooled * mse_loss(pooled(made), pooled(real))}
+        augment, everywhere = DiffAugment.drawn(len(made), options.augment_probability), torch.ones_like(made[:, :1])
+        layers = torch.cat([batch.shown[:, None], interpolate(batch.conditions, scale_factor=2.0)], 1)
+        real = augment.apply(real, everywhere, everywhere[:, :0])
+        made, shown, conditions = augment.apply(made, everywhere, layers).split((3, 1, CONDITIONS), 1)
+        texture = Texture(self.features, made, real, conditions.detach())
+        critic = self.networks["critic"]
+        yield "critic", texture.critic_loss(critic)
+        pairs = [(a.float(), b.float()) for a, b in zip(texture.of_real, texture.of_made, strict=True)][:MATCHED]
+        terms |= {
+            "perceptual": options.perceptual * texture.perceptual_loss(),
+            "statistics": options.statistics * self.distributions(pairs, shown.detach(), batch.look),
+            "adversarial": options.adversarial * texture.adversarial_loss(critic),
+        }
+        self.logs |= {name: term.detach() for name, term in terms.items()}
+        yield "painter", loss + torch.stack(list(terms.values())).sum()
+
+    def painted(self, batch: LatentSample) -> Tensor:
+        """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from new noise."""
+        conditions = batch.conditions.contiguous(memory_format=torch.channels_last)
+        with fast_arithmetic(conditions.device):
+            noise = torch.randn_like(batch.latents)
+            latents = self.painter.latents_of(conditions, self.shares(batch.look), noise)
+            return self.painter.decoder(latents).float()
+
+
+def latent_texture() -> Recipe[LatentTextureOptions]:
+    """The texture of a latent painter, which starts from the weights of `latent-painter`."""
+    plain = latent_painter()
+    optimizer = Optimizer(rate=3e-4, betas=(0.5, 0.99), weight_decay=0.01, warmup=50, clip=5.0)
+    critic = Optimizer(algorithm="adam", rate=5e-4, betas=(0.0, 0.99), schedule="constant")
+    return Recipe(
+        view=plain.view,
+        scale=plain.scale,
+        networks={
+            "painter": replace(plain.networks["painter"], optimizer=optimizer),
+            "critic": Network(model="projected-critic", settings={"conditions": CONDITIONS}, optimizer=critic),
+        },
+        options=LatentTextureOptions(columns=192),
+        training=plain.training,
+    )
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "latent-texture": latent_texture,
+    "latent-texture-mini": lambda: on_two_cores(latent_texture(), minutes=90, batch=4, ema=0.995),
+}
