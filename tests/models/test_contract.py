@@ -68,6 +68,8 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
             torch.tensor([0.2, 0.7]),
             torch.tensor([0.0, 0.25]),
             torch.ones(2),
+            torch.randn(2, 7, 8, 16),
+            torch.randn(2, 13),
         ),
     ),
     "projected-critic": (

@@ -9,13 +9,13 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.latent_painter import conditions_of, mirrored, world_noise
+from lidar2pano.models.latent_painter import Known, conditions_of, mirrored, style_of, world_noise
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
 
 VIEW = replace(VIEWS["panorama"], rows=32, columns=384)
 NARROW = ((4, 6, 8), (1, 1, 1))
-SMALL = {"latents": 4, "decoder": (4, 4, 6, 8), "mean": NARROW, "flow": NARROW, "code": 8}
+SMALL = {"latents": 4, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8), "mean": NARROW, "flow": NARROW, "code": 8}
 
 
 def scene_of(depth_m: torch.Tensor, view: View = VIEW, pose: np.ndarray | None = None) -> Scene:
@@ -141,18 +141,21 @@ def test_steps_are_those_of_the_definition(steps):
     """Learned steps ask for their own length; more steps for the instant velocity, led away from the free one."""
     network = painter(steps=steps, guidance=1.7)
     conditions, shares, noise = torch.randn(1, 26, 16, 32), torch.ones(1, 1), torch.randn(1, 4, 4, 8)
+    known = (torch.randn(1, 5, 4, 8), torch.randn(1, 9))
     with torch.inference_mode():
         mean, x = network.mean(conditions, shares), noise
         for number in range(steps):
             time = torch.tensor([number / steps])
             if steps <= 4:
-                velocity = network.flow(conditions, shares, mean, x, time, torch.tensor([1 / steps]))
+                velocity = network.flow(conditions, shares, mean, x, time, torch.tensor([1 / steps]), *known)
             else:
-                given = network.flow(conditions, shares, mean, x, time, torch.zeros(1))
-                free = network.flow(0 * conditions, shares, 0 * mean, x, time, torch.zeros(1))
+                given = network.flow(conditions, shares, mean, x, time, torch.zeros(1), *known)
+                free = network.flow(0 * conditions, shares, 0 * mean, x, time, torch.zeros(1), *known)
                 velocity = free + 1.7 * (given - free)
             x = x + velocity / steps
-        torch.testing.assert_close(network.latents_of(conditions, shares, noise), x, atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(
+            network.latents_of(conditions, shares, noise, Known(*known)), x, atol=1e-4, rtol=1e-4
+        )
 
 
 def test_a_flow_adds_to_the_mean():
@@ -162,8 +165,38 @@ def test_a_flow_adds_to_the_mean():
     mean, noisy = torch.randn(2, 4, 4, 8), torch.randn(2, 4, 4, 8)
     time = torch.tensor([0.25, 1.0])
     with torch.inference_mode():
-        made = network(torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, time)
+        made = network(torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, time, *Known.nothing(noisy))
     torch.testing.assert_close(made, mean + noisy - torch.stack([mean[0] / 4, mean[1]]))
+
+
+def test_a_style_is_the_mean_and_the_deviation_of_what_is_known():
+    latents, mask = torch.randn(2, 4, 3, 5), torch.zeros(2, 3, 5, dtype=torch.bool)
+    mask[0, 1, 2:] = True
+    style = style_of(latents, mask[:, None].float())
+    part = latents[0, :, 1, 2:]
+    expected = [*part.mean(1).tolist(), *part.std(1, correction=0).tolist(), 1]
+    assert style[0].tolist() == pytest.approx(expected, abs=1e-5)
+    assert not style[1].any()
+    known = Known.of(latents, mask)
+    assert torch.equal(known.style, style)
+    assert torch.equal(known.given[0, :4, 1, 2:], part) and known.given[0].count_nonzero() == 5 * 3
+    assert not known.given[1].any()
+    assert not any(part.any() for part in Known.nothing(latents))
+
+
+def test_what_is_known_changes_what_is_painted_in_all_directions():
+    """Latents near their place, through the U-Net; the style everywhere, a sector's width away and more."""
+    network = painter(steps=1)
+    conditions, shares, noise = torch.randn(1, 26, 16, 1152), torch.ones(1, 1), torch.randn(1, 4, 4, 288)
+    mask = torch.zeros(1, 4, 288, dtype=torch.bool)
+    mask[..., :8] = True
+    known = Known.of(3 + noise, mask)
+    parts = (Known.nothing(noise), Known(known.given, 0 * known.style), known)
+    with torch.inference_mode():
+        nothing, given, both = (network.latents_of(conditions, shares, noise, part) for part in parts)
+    assert not torch.equal(given[..., :8], nothing[..., :8])
+    assert torch.equal(given[..., 140:148], nothing[..., 140:148])
+    assert not torch.equal(both[..., 140:148], given[..., 140:148])
 
 
 def test_normalised_latents_have_no_mean_and_unit_deviation():

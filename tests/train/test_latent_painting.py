@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.hardware import Timer
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.latent_painter import conditions_of
+from lidar2pano.models.latent_painter import Known, conditions_of
 from lidar2pano.train.engine import train
 from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, packed, unpacked, without_gaps
 from lidar2pano.train.latent_painting import masked_error
@@ -24,7 +24,7 @@ from lidar2pano.train.tasks import build_task
 from miniature_surround import distances, painting, six, write_pandaset
 from random_weights import TRANSLATOR_VIEW, write_family
 
-LATENTS = {"latents": 4, "decoder": (4, 4, 6, 8)}
+LATENTS = {"latents": 4, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8)}
 NARROW = ((6, 8, 10), (1, 1, 1))
 SMALL = LATENTS | {"mean": NARROW, "flow": NARROW, "code": 8}
 
@@ -35,12 +35,8 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("place")
     write_family(folder / "family")
     torch.manual_seed(0)
-    settings = LATENTS | {"encoder": (4, 6, 8)}
-    save(
-        folder / "autoencoder.safetensors",
-        build("autoencoder", **settings),
-        Card(network="autoencoder", settings=settings),
-    )
+    network = build("autoencoder", **LATENTS)
+    save(folder / "autoencoder.safetensors", network, Card(network="autoencoder", settings=LATENTS))
     write_pandaset(folder / "set")
     return folder
 
@@ -240,14 +236,14 @@ def test_a_long_step_is_the_mean_of_two_halves(place):
     task = build_task(small(place), place / "set")
 
     class Lengths(torch.nn.Module):
-        def forward(self, conditions, shares, noisy, time, step, kept):
+        def forward(self, conditions, shares, noisy, time, step, kept, given, style):
             velocity = torch.zeros_like(noisy) + torch.where(step > 0, step, 7 * kept)[:, None, None, None]
             return torch.zeros_like(noisy), velocity
 
     task.networks["painter"], task.painter.guidance = Lengths(), 1.5
     latents = torch.randn(64, 4, 12, 24)
     torch.manual_seed(0)
-    long = task._long(torch.zeros(64, 26, 48, 96), torch.ones(64, 1), latents)
+    long = task._long(torch.zeros(64, 26, 48, 96), torch.ones(64, 1), latents, Known.nothing(latents))
     expected = {1.0: 0.5, 0.5: 0.25, 0.25: 1.5 * 7}
     assert set(long.step.tolist()) == set(expected)
     for step, time, velocity in zip(long.step.tolist(), long.time.tolist(), long.velocity, strict=True):

@@ -3,9 +3,10 @@
 A mean network regresses the latents from the scene; a flow network leads noise to latents along
 straight lines (Lipman et al. 2023; Liu et al. 2023), given the same conditions and the mean. Conditions are dropped in
 some training samples, so that guidance can be used (Ho and Salimans 2022), and the flow also learns long steps, each
-from two of half its length, until one or two of them suffice (shortcut models, Frans et al. 2024). Every convolution
-is circular in azimuth, and features are normalised over each pixel's channels alone: a sector is painted as it is
-within a panorama.
+from two of half its length, until one or two of them suffice (shortcut models, Frans et al. 2024). What a camera sees
+may be given: as latents in its place, and as a style for all directions, means and deviations (after AdaIN, Huang and
+Belongie 2017). Every convolution is circular in azimuth, and features are normalised over each pixel's channels alone:
+a sector is painted as it is within a panorama.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from typing import Self, cast
+from typing import NamedTuple, Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -252,21 +253,63 @@ class FlowNetwork(nn.Module):
         super().__init__()
         self.look_codes = nn.Parameter(torch.randn(looks, code) * CODE_DEVIATION)
         self.time = nn.Sequential(nn.Linear(4 * WAVES, code), nn.SiLU(), nn.Linear(code, code))
-        self.unet = ConditionedUNet(CONDITIONS, 2 * latents, latents, widths, blocks, code)
+        self.style = nn.Linear(2 * latents + 1, code)
+        self.unet = ConditionedUNet(CONDITIONS, 3 * latents + 1, latents, widths, blocks, code)
 
     def forward(  # noqa: PLR0913, PLR0917 the inputs of a network
-        self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor, step: Tensor
+        self,
+        conditions: Tensor,
+        shares: Tensor,
+        mean: Tensor,
+        noisy: Tensor,
+        time: Tensor,
+        step: Tensor,
+        given: Tensor,
+        style: Tensor,
     ) -> Tensor:
         """Return the velocity (B, latents, h, w).
 
         conditions, shares  as of MeanNetwork;  mean: its output, (B, latents, h, w).
         noisy       (B, latents, h, w) = (1 - time) noise + time latents.
         time, step  (B,) in [0, 1]. A step of 0 asks for the instant velocity, another for the mean velocity over it.
+        given       (B, latents + 1, h, w): latents that are known, and 1 where they are; else 0.
+        style       (B, 2 latents + 1): `style_of` what is known in all directions, 0 if nothing is.
         """
-        code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1))
+        code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1)) + self.style(style)
         mean = mean.to(noisy.dtype)
         remainder = noisy - time[:, None, None, None].to(noisy.dtype) * mean
-        return mean + self.unet(conditions, code, torch.cat([remainder, mean], 1))
+        return mean + self.unet(conditions, code, torch.cat([remainder, mean, given.to(noisy.dtype)], 1))
+
+
+class Known(NamedTuple):
+    """Latents that a camera gives, and their style; `given` and `style` of FlowNetwork."""
+
+    given: Tensor
+    style: Tensor
+
+    @classmethod
+    def of(cls, latents: Tensor, mask: Tensor) -> Self:
+        """Return normalised latents (B, L, h, w) where a mask (B, h, w) bool has them."""
+        mask = mask[:, None].to(latents.dtype)
+        return cls(torch.cat([latents * mask, mask], 1), style_of(latents, mask))
+
+    @classmethod
+    def nothing(cls, latents: Tensor) -> Self:
+        """Return that none of the latents (B, L, h, w) are known."""
+        return cls(
+            torch.cat([0 * latents, 0 * latents[:, :1]], 1), latents.new_zeros(len(latents), 2 * latents.shape[1] + 1)
+        )
+
+
+def style_of(latents: Tensor, mask: Tensor) -> Tensor:
+    """Return the mean and the deviation of each of the latents (B, L, h, w) in a mask (B, 1, h, w), and 1: (B, 2L + 1).
+
+    All are 0 if the mask has nothing.
+    """
+    count = mask.sum((2, 3))
+    mean = (latents * mask).sum((2, 3)) / count.clamp(min=1)
+    variance = ((latents - mean[..., None, None]).square() * mask).sum((2, 3)) / count.clamp(min=1)
+    return torch.cat([mean, variance.sqrt(), (count > 0).to(mean.dtype)], 1)
 
 
 class LatentDecoder(nn.Module):
@@ -296,7 +339,7 @@ class LatentPainter(LookPainter):
 
     looks             their names, the default first.
     steps, guidance   of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
-    latents, decoder  as of Autoencoder.
+    latents, encoder, decoder  as of Autoencoder.
     mean, flow        widths and blocks of their ConditionedUNets.
     code              length of the code of look, time and length of the step, which modulates them.
     """
@@ -307,6 +350,7 @@ class LatentPainter(LookPainter):
         steps: int = 2,
         guidance: float = 1.4,
         latents: int = 32,
+        encoder: Sequence[int] = (32, 64, 128),
         decoder: Sequence[int] = (16, 32, 64, 128),
         mean: Sequence[Sequence[int]] = ((48, 96, 144), (1, 1, 2)),
         flow: Sequence[Sequence[int]] = ((64, 112, 160), (1, 2, 4)),
@@ -319,6 +363,7 @@ class LatentPainter(LookPainter):
         self.mean = MeanNetwork(len(self.looks), latents, mean[0], mean[1], code)
         self.flow = FlowNetwork(len(self.looks), latents, flow[0], flow[1], code)
         self.decoder = LatentDecoder(latents, decoder)
+        self.encoder = Autoencoder(latents, encoder, (8, 8, 8, 8)).encoder.requires_grad_(False)
 
     def variant(self, quality: str, seed: int) -> Self:
         """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture."""
@@ -331,36 +376,47 @@ class LatentPainter(LookPainter):
         return {"latent-mean": self.mean, "latent-flow": self.flow, "latent-decoder": self.decoder}
 
     def forward(  # noqa: PLR0913, PLR0917 the parts of a training step
-        self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, step: Tensor, kept: Tensor
+        self,
+        conditions: Tensor,
+        shares: Tensor,
+        noisy: Tensor,
+        time: Tensor,
+        step: Tensor,
+        kept: Tensor,
+        given: Tensor,
+        style: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Return the mean and the velocity, (B, latents, h, w) each, of normalised latents.
 
-        conditions, shares, noisy, time, step  as of FlowNetwork.
+        conditions, shares, noisy, time, step, given, style  as of FlowNetwork.
         kept        (B,) 1, or 0: the flow is given neither conditions nor mean. No gradient passes from it to the mean.
         """
         mean = self.mean(conditions, shares)
         kept = kept[:, None, None, None]
-        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step)
+        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step, given, style)
 
-    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor) -> Tensor:
+    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor, known: Known | None = None) -> Tensor:
         """Return normalised latents (B, latents, h, w) float32 from noise of that shape; arguments of MeanNetwork."""
         mean, x = self.mean(conditions, shares).float(), noise
+        known = known or Known.nothing(noise)
         step = x.new_full((len(x),), 1 / self.steps)
         for number in range(self.steps):
             time = step * number
             if self.steps in LEARNED_STEPS:
-                velocity = self.flow(conditions, shares, mean, x, time, step)
+                velocity = self.flow(conditions, shares, mean, x, time, step, *known)
             else:
-                velocity = self._guided(conditions, shares, mean, x, time)
+                velocity = self._guided(conditions, shares, mean, x, time, known)
             x = x + velocity.float() / self.steps
         return x
 
-    def _guided(self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor) -> Tensor:
+    def _guided(  # noqa: PLR0913, PLR0917 the inputs of a network
+        self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor, known: Known
+    ) -> Tensor:
         """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
         scene = (torch.cat([part, 0 * part]) for part in (conditions, mean))
-        state = (torch.cat([part, part]) for part in (shares, noisy, time, 0 * time))
-        (conditions, mean), (shares, noisy, time, step) = scene, state
-        conditioned, free = self.flow(conditions, shares, mean, noisy, time, step).chunk(2)
+        state = (torch.cat([part, part]) for part in (shares, noisy, time, 0 * time, *known))
+        (conditions, mean), (shares, noisy, time, step, *twice) = scene, state
+        conditioned, free = self.flow(conditions, shares, mean, noisy, time, step, *twice).chunk(2)
         return torch.lerp(free, conditioned, self.guidance)
 
     def paint(self, past: None, scene: Scene, look: str = "") -> tuple[None, Tensor]:  # noqa: ARG002 it needs no past

@@ -33,7 +33,7 @@ from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder
-from lidar2pano.models.latent_painter import FOLD, GEOMETRY, MEASUREMENT, STRIDE, conditions_of, mirrored
+from lidar2pano.models.latent_painter import FOLD, GEOMETRY, MEASUREMENT, STRIDE, conditions_of, mirrored, style_of
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.scene.depth import FAR_M
 from lidar2pano.scene.record import Scene
@@ -54,6 +54,7 @@ class LatentSample(NamedTuple):
     latents     (L, H/4, W/4) float32 of the photograph, of the autoencoder.
     coverage    (H/4, W/4) bool: the camera shows all of their pixels.
     look        () int64: number of the look.
+    style       (2L + 1,) float32: `style_of` the latents of some columns of the sector, not normalised.
     picture     (3, 2H, 2W) float32 in [-1, 1], the photograph;  shown: (2H, 2W) bool, where the camera shows it. Both
                 have no rows but from PicturedFrames.
     """
@@ -62,6 +63,7 @@ class LatentSample(NamedTuple):
     latents: Tensor
     coverage: Tensor
     look: Tensor
+    style: Tensor
     picture: Tensor
     shown: Tensor
 
@@ -135,7 +137,16 @@ class LatentFrames:
             coverage, picture, shown = (part.flip(-1) for part in (coverage, picture, shown))
             latents = encoded.mirrored[..., spare : spare + cells]
         look = torch.tensor(self.places[index][2])
-        return LatentSample(conditions, latents.float(), coverage, look, picture, shown)
+        style = self._style(encoded, generator)
+        return LatentSample(conditions, latents.float(), coverage, look, style, picture, shown)
+
+    @staticmethod
+    def _style(encoded: Encoded, generator: np.random.Generator | None) -> Tensor:
+        """Return the style of a sector's columns between two that are drawn, of all of them without a generator."""
+        columns = encoded.coverage.shape[1]
+        ends = np.sort(generator.integers(0, columns, 2)) if generator is not None else (0, columns - 1)
+        part = (..., slice(int(ends[0]), int(ends[1]) + 1))
+        return style_of(encoded.latents[part][None].float(), encoded.coverage[part][None, None].float())[0]
 
     def picture(self, index: int, start: int, cells: int) -> tuple[Tensor, Tensor]:  # noqa: ARG002, PLR6301 see below
         """Return the picture of a crop that begins at a cell of the latents, and where it is shown: no rows."""
