@@ -18,6 +18,7 @@ from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import directions
 from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline.composition import compose, photographed
 from lidar2pano.views import VIEWS
 from miniature_surround import distances, six, write_pandaset
 
@@ -33,10 +34,10 @@ class Grey:
     def at(self, calibration) -> Grey:
         return Grey(at_camera(self.view, calibration))
 
-    def __call__(self, scan) -> Panorama:
+    def __call__(self, scan, cameras=()) -> Panorama:
         shape = (self.view.rows, self.view.columns)
         depth_m = distances(np.array(self.view.origin), directions(self.view).double().numpy())
-        return Panorama(
+        panorama = Panorama(
             name=scan.name,
             frame=0,
             view=self.view,
@@ -45,6 +46,7 @@ class Grey:
             depth_m=depth_m.astype(np.float32),
             labels=np.zeros(len(scan), dtype=np.int64),
         )
+        return compose(panorama, photographed(panorama, cameras)) if cameras else panorama
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,7 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         {
             "looks": ["day", "evening"],
             "latents": 6,
-            "decoder": (4, 4, 6, 8),
+            "autoencoder": ((4, 6, 8), (4, 4, 6, 8)),
             "mean": ((6, 8, 10), (1, 1, 1)),
             "flow": ((8, 10, 12), (1, 1, 1)),
             "code": 8,

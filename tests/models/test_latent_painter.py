@@ -15,7 +15,7 @@ from lidar2pano.views import VIEWS, View
 
 VIEW = replace(VIEWS["panorama"], rows=32, columns=384)
 NARROW = ((4, 6, 8), (1, 1, 1))
-SMALL = {"latents": 4, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8), "mean": NARROW, "flow": NARROW, "code": 8}
+SMALL = {"latents": 4, "autoencoder": ((4, 6, 8), (4, 4, 6, 8)), "mean": NARROW, "flow": NARROW, "code": 8}
 
 
 def scene_of(depth_m: torch.Tensor, view: View = VIEW, pose: np.ndarray | None = None) -> Scene:
@@ -214,3 +214,29 @@ def test_settings_that_make_no_sense_are_refused():
         build("latent-painter", **SMALL, steps=0)
     with pytest.raises(InputError, match="knows no look 'dusk'"):
         painter().look_shares("dusk")
+
+
+def test_what_cameras_show_is_known_but_for_the_cells_at_its_edge():
+    """The encoder reads beyond a cell; azimuth closes."""
+    network = painter()
+    picture, shown = torch.rand(1, 3, 32, 128), torch.zeros(1, 32, 128, dtype=torch.bool)
+    shown[:, :, :40], shown[:, :, 120:] = True, True  # cells 0 to 4 and 15
+    with torch.inference_mode():
+        given, style = network.known(picture, shown)
+        latents = network.decoder.normalised(network.encoder(picture * shown[:, None]))
+    assert given[0, 4].tolist() == [[1.0] * 4 + [0.0] * 12] * 4
+    torch.testing.assert_close(given[0, :4, :, :4], latents[0, :, :, :4])
+    assert not given[0, :4, :, 4:].any()
+    assert style.shape == (1, 9) and style[0, -1] == 1
+
+
+def test_a_panorama_goes_on_from_what_cameras_show():
+    scene, network = scene_of(street()), painter()
+    picture, shown = torch.rand(1, 3, 64, 768), torch.zeros(1, 64, 768, dtype=torch.bool)
+    shown[:, :, :96] = True
+    with torch.inference_mode():
+        alone = network.paint(None, scene)[1]
+        nothing = network.paint(None, replace(scene, photographed=(picture, shown & False)))[1]
+        helped = network.paint(None, replace(scene, photographed=(picture, shown)))[1]
+    torch.testing.assert_close(nothing, alone)
+    assert not torch.equal(helped[..., 480:], alone[..., 480:])  # the style is everywhere

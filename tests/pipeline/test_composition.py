@@ -12,7 +12,7 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import composition
-from lidar2pano.pipeline.composition import compose, continued
+from lidar2pano.pipeline.composition import compose, continued, photographed
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from miniature_surround import camera, camera_view, distances, painting, six, sweep
@@ -41,6 +41,10 @@ def panorama(depth_m: np.ndarray, view: View = QUARTER, points: int = 0) -> Pano
     )
 
 
+def composed(around: Panorama, cameras: list[Camera]) -> Panorama:
+    return compose(around, photographed(around, cameras))
+
+
 @pytest.fixture(scope="module")
 def photos() -> list[Camera]:
     return [Camera(camera_view(one), one, name=name) for name, one in six().items()]
@@ -48,7 +52,7 @@ def photos() -> list[Camera]:
 
 def test_the_painted_place_is_real_where_a_camera_sees(photos):
     expected, depth_m = truth()
-    around = compose(panorama(depth_m), photos)
+    around = composed(panorama(depth_m), photos)
     assert around.source is not None and around.source.dtype == np.uint8
     seen = around.source > 0
     assert seen.mean() > 0.97 and set(np.unique(around.source)) >= set(range(1, 7))
@@ -61,7 +65,7 @@ def test_the_painted_place_is_real_where_a_camera_sees(photos):
 
 def test_the_hidden_camera_stays_invented_and_the_others_real(photos):
     expected, depth_m = truth()
-    around = compose(panorama(depth_m), photos[1:])
+    around = composed(panorama(depth_m), photos[1:])
     ahead = np.abs(np.arange(QUARTER.columns) - QUARTER.columns // 2) < 10
     assert (around.source[:, ahead] == 0).all()
     off = np.abs(around.colour - expected).mean(2)
@@ -72,15 +76,15 @@ def test_gains_bring_cameras_together(photos, monkeypatch):
     expected, depth_m = truth()
     gain = np.array([1.0, 0.8, 0.9])
     dimmed = replace(photos[1], image=(photos[1].image * gain).round().astype(np.uint8))
-    around = compose(panorama(depth_m), [photos[0], dimmed, *photos[2:]])
+    around = composed(panorama(depth_m), [photos[0], dimmed, *photos[2:]])
     applied = np.array([one.gain for one in around.cameras])
     relative = applied[1] / applied[[0, 2]].mean(0)
     assert (np.abs(np.log(relative * gain)) <= 0.5 * np.abs(np.log(gain)) + 0.01).all(), "a prior holds back the rest"
     monkeypatch.setattr(composition, "brought_together", lambda cameras, *_: cameras)
-    plain = compose(panorama(depth_m), [photos[0], dimmed, *photos[2:]])
+    plain = composed(panorama(depth_m), [photos[0], dimmed, *photos[2:]])
     off = [np.abs(one.colour - expected)[plain.source == 2].mean() for one in (around, plain)]
     assert off[0] < 0.7 * off[1]
-    assert compose(panorama(depth_m), photos[:1]).cameras[0].gain == (1, 1, 1)
+    assert composed(panorama(depth_m), photos[:1]).cameras[0].gain == (1, 1, 1)
 
 
 def test_what_stands_in_front_of_a_camera_hides_what_is_behind():
@@ -90,7 +94,7 @@ def test_what_stands_in_front_of_a_camera_hides_what_is_behind():
     board = np.abs(np.arange(view.columns) - view.columns // 2) < 20  # straight ahead, 3 m away
     depth_m[:, board] = 3.0
     picture = np.full((300, 480, 3), 200, dtype=np.uint8)
-    source = compose(panorama(depth_m, view), [Camera(picture, beside)]).source
+    source = composed(panorama(depth_m, view), [Camera(picture, beside)]).source
     assert source is not None and (source[40:60, board] == 1).mean() > 0.9
     along = np.linspace(0, 20, 2001)[:, None] * np.array([3.0, -1.5]) / np.hypot(3, 1.5)  # past the board, from above
     behind = (along + (0.0, 1.5))[np.argmin(np.abs(np.hypot(*(along + (0.0, 1.5)).T) - 12))]
@@ -99,7 +103,7 @@ def test_what_stands_in_front_of_a_camera_hides_what_is_behind():
     assert (source[40:60, column - 80 : column - 70] == 1).all()
     near = depth_m.copy()
     near[:, board] = 12.0 / 1.3  # the same surface
-    assert (compose(panorama(near, view), [Camera(picture, beside)]).source[40:60, 560:592] == 1).all()
+    assert (composed(panorama(near, view), [Camera(picture, beside)]).source[40:60, 560:592] == 1).all()
 
 
 def test_the_sky_is_seen_in_its_direction():
@@ -107,7 +111,7 @@ def test_the_sky_is_seen_in_its_direction():
     aside = camera(0.0, (0.0, 1.0, 0.0))
     picture = np.zeros((300, 480, 3), dtype=np.uint8)
     picture[:, 238:243] = 255  # straight ahead
-    around = compose(panorama(np.zeros((view.rows, view.columns), np.float32), view), [Camera(picture, aside)])
+    around = composed(panorama(np.zeros((view.rows, view.columns), np.float32), view), [Camera(picture, aside)])
     bright = np.flatnonzero(around.colour[20, :, 0] * (around.source[20] > 0) > 100)
     assert abs(bright.mean() + 0.5 - view.columns / 2) < 1
 
@@ -116,7 +120,7 @@ def test_the_own_vehicle_is_left_out(photos):
     _, depth_m = truth()
     mask = np.zeros((300, 480), dtype=bool)
     mask[200:] = True
-    whole, part = (compose(panorama(depth_m), [replace(photos[0], ego_mask=one)]).source for one in (None, mask))
+    whole, part = (composed(panorama(depth_m), [replace(photos[0], ego_mask=one)]).source for one in (None, mask))
     assert whole is not None and part is not None
     assert 0 < part.sum() < 0.9 * whole.sum() and not (part > whole).any()
 
@@ -126,7 +130,7 @@ def test_the_invention_goes_over_into_what_is_seen_and_stays_itself_far_away(mon
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     depth_m = np.full((view.rows, view.columns), 12.0, dtype=np.float32)
     picture = np.full((300, 480, 3), 150, dtype=np.uint8)
-    around = compose(panorama(depth_m, view), [Camera(picture, camera(180.0, (0.0, 0.0, 0.0)))])
+    around = composed(panorama(depth_m, view), [Camera(picture, camera(180.0, (0.0, 0.0, 0.0)))])
     assert (around.colour[around.source > 0] == 150).all()
     row, seen = around.colour[48, :, 0].astype(int), around.source[48] > 0
     assert seen[0] and seen[-1], "the camera looks across the seam"
@@ -149,7 +153,7 @@ def test_known_differences_stay_and_others_are_filled():
 def test_a_turned_scan_gives_turned_colours(photos):
     _, depth_m = truth()
     columns = 288  # a quarter of a turn
-    straight = compose(panorama(depth_m), photos)
+    straight = composed(panorama(depth_m), photos)
     R = np.eye(4)
     R[:2, :2] = [[0, 1], [-1, 0]]  # to the right
     turned = [
@@ -158,7 +162,7 @@ def test_a_turned_scan_gives_turned_colours(photos):
     ]
     x, y, z = (R[:3, :3] @ np.array(QUARTER.origin)).tolist()
     view = replace(QUARTER, origin=(x, y, z))
-    around = compose(panorama(np.roll(depth_m, columns, 1), view), turned)
+    around = composed(panorama(np.roll(depth_m, columns, 1), view), turned)
     same = np.roll(straight.source, columns, 1) == around.source
     assert same.mean() > 0.999
     off = np.abs(np.roll(straight.colour, columns, 1).astype(int) - around.colour)[same]
@@ -169,7 +173,7 @@ def test_points_take_the_colours_of_cameras(photos, tmp_path):
     xyz, _ = sweep(32, 500)
     scan = Scan(xyz=xyz, remission=np.zeros(len(xyz), dtype=np.float32))
     _, depth_m = truth()
-    around = compose(panorama(depth_m, points=len(scan)), photos)
+    around = composed(panorama(depth_m, points=len(scan)), photos)
     points = around.colour_points(scan)
     real = points.source > 0
     assert real.mean() > 0.9 and points.valid[real].all()
@@ -181,7 +185,7 @@ def test_points_take_the_colours_of_cameras(photos, tmp_path):
 
 def test_the_source_is_saved(photos, tmp_path):
     _, depth_m = truth()
-    around = compose(panorama(depth_m), photos)
+    around = composed(panorama(depth_m), photos)
     (path,) = around.save(tmp_path, "source")
     from PIL import Image
 

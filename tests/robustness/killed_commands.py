@@ -50,7 +50,7 @@ NETWORKS: dict[str, dict[str, dict[str, object]]] = {
         "critic": {"conditions": 4, "mixed": 8, "width": 8},
     },
     "latent-painter-mini": {
-        "painter": {"latents": 4, "decoder": (4, 4, 6, 8), "mean": NARROW, "flow": NARROW, "code": 8}
+        "painter": {"latents": 4, "autoencoder": ((4, 6, 8), (4, 4, 6, 8)), "mean": NARROW, "flow": NARROW, "code": 8}
     },
     "vid2vid-mini": {
         "painter": {"channels": 16, "widths": (4,), "downsamplings": 2, "blocks": (1, 1), "foreground": (1,)},

@@ -19,7 +19,7 @@ SLIM = {
     "latent-painter": {
         "looks": ("day", "dusk"),
         "latents": 4,
-        "decoder": (4, 4, 6, 8),
+        "autoencoder": ((4, 6, 8), (4, 4, 6, 8)),
         "mean": ((4, 6, 8), (1, 1, 1)),
         "flow": ((4, 6, 8), (1, 1, 1)),
         "code": 8,

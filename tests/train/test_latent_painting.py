@@ -26,7 +26,7 @@ from random_weights import TRANSLATOR_VIEW, write_family
 
 LATENTS = {"latents": 4, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8)}
 NARROW = ((6, 8, 10), (1, 1, 1))
-SMALL = LATENTS | {"mean": NARROW, "flow": NARROW, "code": 8}
+SMALL = {"latents": 4, "autoencoder": ((4, 6, 8), (4, 4, 6, 8)), "mean": NARROW, "flow": NARROW, "code": 8}
 
 
 @pytest.fixture(scope="module")
@@ -356,6 +356,6 @@ def test_missing_files_and_foreign_settings_are_named(place):
     with pytest.raises(InputError, match="multiple of 16, at most 160"):
         build_task(small(place, "options.columns=100"), place / "set")
     recipe = small(place)
-    wide = replace(recipe.networks["painter"], settings=SMALL | {"decoder": (6, 4, 6, 8)})
+    wide = replace(recipe.networks["painter"], settings=SMALL | {"autoencoder": ((4, 6, 8), (6, 4, 6, 8))})
     with pytest.raises(InputError, match="trained with other settings"):
         build_task(replace(recipe, networks={"painter": wide}), place / "set")

@@ -22,7 +22,6 @@ from lidar2pano.metrics.frame_metrics import SSIM, ClassColourError, FeatureDist
 from lidar2pano.metrics.frechet import PatchFrechetDistance
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Pipeline
-from lidar2pano.pipeline.composition import compose
 from lidar2pano.scan import Scan
 
 EACH = "each"  # in place of a camera's name
@@ -160,8 +159,8 @@ def hidden_view(
     pipeline: Pipeline, scan: Scan, hidden: Camera, other_cameras: Sequence[Camera], name: str
 ) -> HiddenView:
     """Predict a camera's view from its optical centre."""
-    plain = pipeline.at(hidden.calibration)(scan)
-    panoramas = (plain, compose(plain, other_cameras))
+    moved = pipeline.at(hidden.calibration)
+    panoramas = (moved(scan), moved(scan, other_cameras))
     look = [panorama.to_camera(hidden.calibration) for panorama in panoramas]
     valid = look[0].valid if hidden.ego_mask is None else look[0].valid & ~hidden.ego_mask
     return HiddenView(
@@ -170,14 +169,14 @@ def hidden_view(
         predicted={system: image.colour for system, image in zip(SYSTEMS, look, strict=True)},
         valid=valid,
         classes=np.where(valid, look[0].segments, 0).astype(np.uint8),
-        invented=_source_in(panoramas[1], hidden) == 0,
+        invented=_invented_in(panoramas[1], hidden),
     )
 
 
-def _source_in(panorama: Panorama, camera: Camera) -> np.ndarray:
-    """Return the panorama's sources in a camera's image."""
-    assert panorama.source is not None
-    return replace(panorama, segments=panorama.source).to_camera(camera.calibration).segments
+def _invented_in(panorama: Panorama, camera: Camera) -> np.ndarray:
+    """Return the pixels (h, w) bool of a camera's image where the panorama is invented: all if no camera was sound."""
+    source = np.zeros_like(panorama.segments) if panorama.source is None else panorama.source
+    return replace(panorama, segments=source).to_camera(camera.calibration).segments == 0
 
 
 def score_hidden(

@@ -18,12 +18,12 @@ from typing import NamedTuple, Self, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import interpolate, layer_norm, pixel_unshuffle, silu
+from torch.nn.functional import interpolate, layer_norm, max_pool2d, pixel_unshuffle, silu
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.rasters import likeliest
+from lidar2pano.geometry.rasters import likeliest, pad_azimuth
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.autoencoder import Autoencoder
+from lidar2pano.models.autoencoder import FACTOR, Autoencoder
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.scene_painter import QUALITIES, LookPainter
 from lidar2pano.scene.depth import FAR_M, depth_code
@@ -339,7 +339,7 @@ class LatentPainter(LookPainter):
 
     looks             their names, the default first.
     steps, guidance   of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
-    latents, encoder, decoder  as of Autoencoder.
+    latents, autoencoder  as of Autoencoder: latents; encoder and decoder.
     mean, flow        widths and blocks of their ConditionedUNets.
     code              length of the code of look, time and length of the step, which modulates them.
     """
@@ -350,8 +350,7 @@ class LatentPainter(LookPainter):
         steps: int = 2,
         guidance: float = 1.4,
         latents: int = 32,
-        encoder: Sequence[int] = (32, 64, 128),
-        decoder: Sequence[int] = (16, 32, 64, 128),
+        autoencoder: Sequence[Sequence[int]] = ((32, 64, 128), (16, 32, 64, 128)),
         mean: Sequence[Sequence[int]] = ((48, 96, 144), (1, 1, 2)),
         flow: Sequence[Sequence[int]] = ((64, 112, 160), (1, 2, 4)),
         code: int = 128,
@@ -362,8 +361,8 @@ class LatentPainter(LookPainter):
         self.latents, self.steps, self.guidance, self.seed = latents, steps, guidance, 0
         self.mean = MeanNetwork(len(self.looks), latents, mean[0], mean[1], code)
         self.flow = FlowNetwork(len(self.looks), latents, flow[0], flow[1], code)
-        self.decoder = LatentDecoder(latents, decoder)
-        self.encoder = Autoencoder(latents, encoder, (8, 8, 8, 8)).encoder.requires_grad_(False)
+        self.encoder = Autoencoder(latents, *autoencoder).encoder.requires_grad_(False)
+        self.decoder = LatentDecoder(latents, autoencoder[1])
 
     def variant(self, quality: str, seed: int) -> Self:
         """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture."""
@@ -424,7 +423,17 @@ class LatentPainter(LookPainter):
         conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
         shares = torch.tensor([self.look_shares(look)], device=conditions.device)
         noise = world_noise(scene, self.latents, self.seed)
-        return None, self.decoder(self.latents_of(conditions, shares, noise)).clamp(-1, 1)
+        known = self.known(*scene.photographed) if scene.photographed else None
+        return None, self.decoder(self.latents_of(conditions, shares, noise, known)).clamp(-1, 1)
+
+    def known(self, picture: Tensor, shown: Tensor) -> Known:
+        """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) where it is shown, (1, FACTOR h, FACTOR w) bool.
+
+        Those of cells at its edge are not known: the encoder saw beyond it.
+        """
+        latents = self.decoder.normalised(self.encoder(picture * shown[:, None]).float())
+        unknown = max_pool2d(pad_azimuth(max_pool2d((~shown)[:, None].float(), FACTOR), 1), 3, 1, (1, 0))
+        return Known.of(latents, unknown[:, 0] == 0)
 
 
 def waves(time: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -133,17 +134,40 @@ def turned_fit(camera: Camera, edge_points: Tensor) -> float:
     return float(gain.mean() / gain.std().clamp(min=1e-9) * len(gain) ** 0.5)
 
 
-def compose(panorama: Panorama, cameras: Sequence[Camera]) -> Panorama:
-    """Return the panorama with the colours of cameras, in the frame of its scan, wherever they see.
+class Photographed(NamedTuple):
+    """What cameras show on a panorama's raster.
 
-    The cameras get a gain each; the invention takes their colours, class by class, and goes over into their pixels at
-    its borders.
+    colour   (3, H, W) float32 codes, 0 where none sees;  source: (H, W) uint8, the number of a pixel's camera, or 0.
+    cameras  with the gains that bring them together.
+    """
+
+    colour: Tensor
+    source: Tensor
+    cameras: tuple[Camera, ...]
+
+    def signed(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Return colours (1, 3, H, W) in [-1, 1] and where a camera sees, (1, H, W) bool."""
+        return self.colour[None].to(device) / 127.5 - 1, (self.source > 0)[None].to(device)
+
+
+def photographed(panorama: Panorama, cameras: Sequence[Camera]) -> Photographed:
+    """Return what cameras, in the frame of its scan, show on a panorama's raster; its depths decide what they see.
+
+    The cameras get a gain each.
     """
     sights = sights_of(panorama, cameras)
     layers = [camera.colours(sight) for camera, sight in zip(cameras, sights, strict=True)]
     cameras = brought_together(cameras, sights, layers, panorama)
     layers = [layer * torch.tensor(camera.gain)[:, None] for camera, layer in zip(cameras, layers, strict=True)]
-    shown, source = mixed(layers, sights, cameras, panorama.view)
+    return Photographed(*mixed(layers, sights, cameras, panorama.view), tuple(cameras))
+
+
+def compose(panorama: Panorama, real: Photographed) -> Panorama:
+    """Return the panorama with the colours of cameras wherever they see.
+
+    The invention takes their colours, class by class, and goes over into their pixels at its borders.
+    """
+    shown, source = real.colour.clone(), real.source
     colour, classes = torch.from_numpy(panorama.colour), torch.from_numpy(panorama.segments)
     gains = light_gains(colour, classes, shown, source)
     offset = continued(shown, brightened(gains, *_coarse(colour, classes)), source > 0)
@@ -154,7 +178,7 @@ def compose(panorama: Panorama, cameras: Sequence[Camera]) -> Panorama:
         panorama,
         colour=shown.round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2).contiguous().numpy(),
         source=source.numpy(),
-        cameras=tuple(cameras),
+        cameras=real.cameras,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import NamedTuple, Self, Unpack
@@ -29,7 +30,7 @@ from lidar2pano.models.scene_painter import LookPainter, StreamPainter, check_qu
 from lidar2pano.models.titan_pano import FrontAllAround
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.assembly import load_parts
-from lidar2pano.pipeline.composition import compose, sound_cameras
+from lidar2pano.pipeline.composition import compose, photographed, sound_cameras
 from lidar2pano.pipeline.segmenter import Segmenter
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
@@ -210,14 +211,10 @@ class Pipeline:
         measurement = self.measure(scan, timer, labels)
         scene = self.predict(measurement, timer)
         memory, scene = self.remember(memory, scene, pose, timer)
-        first = memory.frames == 0
-        memory, panorama = self.paint(memory, scene, timer)
-        if cameras:
-            with timer("cameras"):
-                kept, doubts = sound_cameras(cameras, scan, edges=first)
-                panorama = compose(panorama, kept) if kept else panorama
-                panorama = replace(panorama, doubts=doubts)
-        return memory, panorama
+        with timer("cameras") if cameras else nullcontext():
+            kept, doubts = sound_cameras(cameras, scan, edges=memory.frames == 0)
+        memory, panorama = self.paint(memory, scene, timer, kept)
+        return memory, replace(panorama, doubts=doubts)
 
     def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> Scene:
         """Return the belief about a single scan: `measure`, then `predict`."""
@@ -283,15 +280,30 @@ class Pipeline:
             return remember(memory, replace(scene, T_world_sensor=pose))
 
     @torch.inference_mode()
-    def paint(self, memory: Memory, scene: Scene, timer: Timer) -> tuple[Memory, Panorama]:
-        """Paint a scene that `remember` returned; returns the memory for the next scan, and the panorama."""
+    def paint(
+        self, memory: Memory, scene: Scene, timer: Timer, cameras: Sequence[Camera] = ()
+    ) -> tuple[Memory, Panorama]:
+        """Paint a scene that `remember` returned; returns the memory for the next scan, and the panorama.
+
+        cameras  sound ones: where they see, the panorama is theirs, and a painter that can goes on from it.
+        """
+        with timer("finish"):
+            panorama = believed(scene, memory.frames)
+        if cameras:
+            with timer("cameras"):
+                real = photographed(panorama, cameras)
+                scene = replace(scene, photographed=real.signed(self.device))
         with timer("paint"), fast_arithmetic(self.device):
             painted, image = self.painter.paint(memory.painted, scene, self.look)
         if memory.around is not None:
             with timer("steady"):
                 memory, image = steady(memory, image, self.view)
         with timer("finish"):
-            panorama = finished(scene, image, memory.frames, timer)
+            colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
+            panorama = replace(panorama, colour=colour.contiguous().cpu().numpy(), milliseconds=timer.milliseconds)
+        if cameras:
+            with timer("cameras"):
+                panorama = compose(panorama, real)
         return replace(memory, frames=memory.frames + 1, painted=painted), panorama
 
     def _densified(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
@@ -394,15 +406,14 @@ def assemble(  # noqa: PLR0913 parts of a pipeline
     return PaperPipeline.of(pipeline, translator.input_view)
 
 
-def finished(scene: Scene, image: Tensor, frame: int, timer: Timer) -> Panorama:
-    """Return the panorama of a scene and its painted image (1, 3, 2H, 2W) in [-1, 1].
+def believed(scene: Scene, frame: int) -> Panorama:
+    """Return the panorama of a scene, black before it is painted.
 
     Classes, depth and confidence are the scene's, enlarged; a pixel with a point has its distance. The sky has no other
     depth, and outside the sensor's field of view nothing is claimed.
     """
     points, view = scene.points, scene.view.scaled(2)
     assert points is not None, "scenes of scans have them"
-    colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
     segments = upsample_classes(scene.probabilities, 2, least=TINY)
     measured = points.returns_m > 0
     depth_m = upsample_azimuth(scene.depth_m[None], 2)[0, 0].masked_fill_(segments == SKY, 0)
@@ -412,13 +423,13 @@ def finished(scene: Scene, image: Tensor, frame: int, timer: Timer) -> Panorama:
         columns = columns_between(view, left, right)
         for layer in (segments, depth_m, confidence, measured):
             layer[:, columns] = 0
-    layers = (colour, segments, depth_m, confidence, measured, points.labels)
-    colour, segments, depth_m, confidence, measured, labels = (part.contiguous().cpu().numpy() for part in layers)
+    layers = (segments, depth_m, confidence, measured, points.labels)
+    segments, depth_m, confidence, measured, labels = (part.contiguous().cpu().numpy() for part in layers)
     return Panorama(
         name=points.name,
         frame=frame,
         view=view,
-        colour=colour,
+        colour=np.zeros((view.rows, view.columns, 3), np.uint8),
         segments=segments,
         depth_m=depth_m,
         confidence=confidence,
@@ -427,5 +438,4 @@ def finished(scene: Scene, image: Tensor, frame: int, timer: Timer) -> Panorama:
         dropped=points.dropped,
         beyond_rows=points.beyond_rows,
         points_between=points.points_between,
-        milliseconds=timer.milliseconds,
     )

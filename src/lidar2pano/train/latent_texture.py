@@ -34,7 +34,7 @@ class LatentTextureOptions(LatentPaintingOptions):
 
     flow         weight of the loss of the flow.
     perceptual   weight of the mean absolute error of frozen features, each in units of its deviation.
-    pooled       weight of the squared error of colours, means of 4 x 4 pixels.
+    pooled       weight of the squared error of colours, means of 4 x 4 pixels; also above and below the photograph.
     statistics   weight of the distance of patches' features from the photographs' distribution.
     adversarial  weight of the hinge loss of the critic.
     augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
@@ -70,7 +70,7 @@ class LatentTexture(LatentPainting):
         loss = options.flow * self.flow_loss(batch)
         made = self.painted(batch)
         real = torch.where(batch.shown[:, None], batch.picture, made.detach())
-        terms = {"pooled": options.pooled * mse_loss(pooled(made), pooled(real))}
+        terms = {"pooled": options.pooled * self._pooled_loss(made, batch)}
         augment, everywhere = DiffAugment.drawn(len(made), options.augment_probability), torch.ones_like(made[:, :1])
         layers = torch.cat([batch.shown[:, None], interpolate(batch.conditions, scale_factor=2.0)], 1)
         real = augment.apply(real, everywhere, everywhere[:, :0])
@@ -86,6 +86,15 @@ class LatentTexture(LatentPainting):
         }
         self.logs |= {name: term.detach() for name, term in terms.items()}
         yield "painter", loss + torch.stack(list(terms.values())).sum()
+
+    @staticmethod
+    def _pooled_loss(made: Tensor, batch: LatentSample) -> Tensor:
+        """Return the squared error of pooled colours; above and below what a camera shows, its last pixels count.
+
+        (Where nothing counted, the rows at the foot became a bright strip.)
+        """
+        columns = batch.shown.any(1, keepdim=True)[:, None]
+        return mse_loss(pooled(made), pooled(torch.where(columns, batch.picture, made.detach())))
 
     def painted(self, batch: LatentSample) -> Tensor:
         """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from new noise."""
