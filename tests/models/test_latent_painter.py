@@ -9,7 +9,7 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.latent_painter import Known, conditions_of, mirrored, style_of, world_noise
+from lidar2pano.models.latent_painter import Clues, conditions_of, mirrored, style_of, world_noise
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
 
@@ -141,20 +141,20 @@ def test_steps_are_those_of_the_definition(steps):
     """Learned steps ask for their own length; more steps for the instant velocity, led away from the free one."""
     network = painter(steps=steps, guidance=1.7)
     conditions, shares, noise = torch.randn(1, 26, 16, 32), torch.ones(1, 1), torch.randn(1, 4, 4, 8)
-    known = (torch.randn(1, 5, 4, 8), torch.randn(1, 9))
+    clues = (torch.randn(1, 5, 4, 8), torch.randn(1, 9))
     with torch.inference_mode():
         mean, x = network.mean(conditions, shares), noise
         for number in range(steps):
             time = torch.tensor([number / steps])
             if steps <= 4:
-                velocity = network.flow(conditions, shares, mean, x, time, torch.tensor([1 / steps]), *known)
+                velocity = network.flow(conditions, shares, mean, x, time, torch.tensor([1 / steps]), *clues)
             else:
-                given = network.flow(conditions, shares, mean, x, time, torch.zeros(1), *known)
-                free = network.flow(0 * conditions, shares, 0 * mean, x, time, torch.zeros(1), *known)
+                given = network.flow(conditions, shares, mean, x, time, torch.zeros(1), *clues)
+                free = network.flow(0 * conditions, shares, 0 * mean, x, time, torch.zeros(1), *clues)
                 velocity = free + 1.7 * (given - free)
             x = x + velocity / steps
         torch.testing.assert_close(
-            network.latents_of(conditions, shares, noise, Known(*known)), x, atol=1e-4, rtol=1e-4
+            network.latents_of(conditions, shares, noise, Clues(*clues)), x, atol=1e-4, rtol=1e-4
         )
 
 
@@ -165,7 +165,7 @@ def test_a_flow_adds_to_the_mean():
     mean, noisy = torch.randn(2, 4, 4, 8), torch.randn(2, 4, 4, 8)
     time = torch.tensor([0.25, 1.0])
     with torch.inference_mode():
-        made = network(torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, time, *Known.nothing(noisy))
+        made = network(torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, time, *Clues.empty(noisy))
     torch.testing.assert_close(made, mean + noisy - torch.stack([mean[0] / 4, mean[1]]))
 
 
@@ -177,11 +177,11 @@ def test_a_style_is_the_mean_and_the_deviation_of_what_is_known():
     expected = [*part.mean(1).tolist(), *part.std(1, correction=0).tolist(), 1]
     assert style[0].tolist() == pytest.approx(expected, abs=1e-5)
     assert not style[1].any()
-    known = Known.of(latents, mask)
-    assert torch.equal(known.style, style)
-    assert torch.equal(known.given[0, :4, 1, 2:], part) and known.given[0].count_nonzero() == 5 * 3
-    assert not known.given[1].any()
-    assert not any(part.any() for part in Known.nothing(latents))
+    clues = Clues.of(latents, mask)
+    assert torch.equal(clues.style, style)
+    assert torch.equal(clues.given[0, :4, 1, 2:], part) and clues.given[0].count_nonzero() == 5 * 3
+    assert not clues.given[1].any()
+    assert not any(part.any() for part in Clues.empty(latents))
 
 
 def test_what_is_known_changes_what_is_painted_in_all_directions():
@@ -190,8 +190,8 @@ def test_what_is_known_changes_what_is_painted_in_all_directions():
     conditions, shares, noise = torch.randn(1, 26, 16, 1152), torch.ones(1, 1), torch.randn(1, 4, 4, 288)
     mask = torch.zeros(1, 4, 288, dtype=torch.bool)
     mask[..., :8] = True
-    known = Known.of(3 + noise, mask)
-    parts = (Known.nothing(noise), Known(known.given, 0 * known.style), known)
+    clues = Clues.of(3 + noise, mask)
+    parts = (Clues.empty(noise), Clues(clues.given, 0 * clues.style), clues)
     with torch.inference_mode():
         nothing, given, both = (network.latents_of(conditions, shares, noise, part) for part in parts)
     assert not torch.equal(given[..., :8], nothing[..., :8])
@@ -222,7 +222,7 @@ def test_what_cameras_show_is_known_but_for_the_cells_at_its_edge():
     picture, shown = torch.rand(1, 3, 32, 128), torch.zeros(1, 32, 128, dtype=torch.bool)
     shown[:, :, :40], shown[:, :, 120:] = True, True  # cells 0 to 4 and 15
     with torch.inference_mode():
-        given, style = network.known(picture, shown)
+        given, style = network.clues(picture, shown)
         latents = network.decoder.normalised(network.encoder(picture * shown[:, None]))
     assert given[0, 4].tolist() == [[1.0] * 4 + [0.0] * 12] * 4
     torch.testing.assert_close(given[0, :4, :, :4], latents[0, :, :, :4])

@@ -1,4 +1,4 @@
-"""Sectors of the latent painter and its task, on a painted place whose every look is known, with small networks."""
+"""Sectors of the latent painter and its task, on a painted place whose every look is clues, with small networks."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.hardware import Timer
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.latent_painter import Known, conditions_of
+from lidar2pano.models.latent_painter import Clues, conditions_of
 from lidar2pano.train.engine import train
 from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, packed, unpacked, without_gaps
 from lidar2pano.train.latent_painting import masked_error
@@ -243,7 +243,7 @@ def test_a_long_step_is_the_mean_of_two_halves(place):
     task.networks["painter"], task.painter.guidance = Lengths(), 1.5
     latents = torch.randn(64, 4, 12, 24)
     torch.manual_seed(0)
-    long = task._long(torch.zeros(64, 26, 48, 96), torch.ones(64, 1), latents, Known.nothing(latents))
+    long = task._long(torch.zeros(64, 26, 48, 96), torch.ones(64, 1), latents, Clues.empty(latents))
     expected = {1.0: 0.5, 0.5: 0.25, 0.25: 1.5 * 7}
     assert set(long.step.tolist()) == set(expected)
     for step, time, velocity in zip(long.step.tolist(), long.time.tolist(), long.velocity, strict=True):

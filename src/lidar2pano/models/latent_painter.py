@@ -272,8 +272,8 @@ class FlowNetwork(nn.Module):
         conditions, shares  as of MeanNetwork;  mean: its output, (B, latents, h, w).
         noisy       (B, latents, h, w) = (1 - time) noise + time latents.
         time, step  (B,) in [0, 1]. A step of 0 asks for the instant velocity, another for the mean velocity over it.
-        given       (B, latents + 1, h, w): latents that are known, and 1 where they are; else 0.
-        style       (B, 2 latents + 1): `style_of` what is known in all directions, 0 if nothing is.
+        given       (B, latents + 1, h, w): latents of a photograph, then 1; 0 in all other places.
+        style       (B, 2 latents + 1): `style_of` a photograph in all directions, 0 without one.
         """
         code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1)) + self.style(style)
         mean = mean.to(noisy.dtype)
@@ -281,7 +281,7 @@ class FlowNetwork(nn.Module):
         return mean + self.unet(conditions, code, torch.cat([remainder, mean, given.to(noisy.dtype)], 1))
 
 
-class Known(NamedTuple):
+class Clues(NamedTuple):
     """Latents that a camera gives, and their style; `given` and `style` of FlowNetwork."""
 
     given: Tensor
@@ -294,8 +294,8 @@ class Known(NamedTuple):
         return cls(torch.cat([latents * mask, mask], 1), style_of(latents, mask))
 
     @classmethod
-    def nothing(cls, latents: Tensor) -> Self:
-        """Return that none of the latents (B, L, h, w) are known."""
+    def empty(cls, latents: Tensor) -> Self:
+        """Return that none of the latents (B, L, h, w) is given."""
         return cls(
             torch.cat([0 * latents, 0 * latents[:, :1]], 1), latents.new_zeros(len(latents), 2 * latents.shape[1] + 1)
         )
@@ -394,26 +394,26 @@ class LatentPainter(LookPainter):
         kept = kept[:, None, None, None]
         return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step, given, style)
 
-    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor, known: Known | None = None) -> Tensor:
+    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor, clues: Clues | None = None) -> Tensor:
         """Return normalised latents (B, latents, h, w) float32 from noise of that shape; arguments of MeanNetwork."""
         mean, x = self.mean(conditions, shares).float(), noise
-        known = known or Known.nothing(noise)
+        clues = clues or Clues.empty(noise)
         step = x.new_full((len(x),), 1 / self.steps)
         for number in range(self.steps):
             time = step * number
             if self.steps in LEARNED_STEPS:
-                velocity = self.flow(conditions, shares, mean, x, time, step, *known)
+                velocity = self.flow(conditions, shares, mean, x, time, step, *clues)
             else:
-                velocity = self._guided(conditions, shares, mean, x, time, known)
+                velocity = self._guided(conditions, shares, mean, x, time, clues)
             x = x + velocity.float() / self.steps
         return x
 
     def _guided(  # noqa: PLR0913, PLR0917 the inputs of a network
-        self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor, known: Known
+        self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor, clues: Clues
     ) -> Tensor:
         """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
         scene = (torch.cat([part, 0 * part]) for part in (conditions, mean))
-        state = (torch.cat([part, part]) for part in (shares, noisy, time, 0 * time, *known))
+        state = (torch.cat([part, part]) for part in (shares, noisy, time, 0 * time, *clues))
         (conditions, mean), (shares, noisy, time, step, *twice) = scene, state
         conditioned, free = self.flow(conditions, shares, mean, noisy, time, step, *twice).chunk(2)
         return torch.lerp(free, conditioned, self.guidance)
@@ -423,17 +423,17 @@ class LatentPainter(LookPainter):
         conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
         shares = torch.tensor([self.look_shares(look)], device=conditions.device)
         noise = world_noise(scene, self.latents, self.seed)
-        known = self.known(*scene.photographed) if scene.photographed else None
-        return None, self.decoder(self.latents_of(conditions, shares, noise, known)).clamp(-1, 1)
+        clues = self.clues(*scene.photographed) if scene.photographed else None
+        return None, self.decoder(self.latents_of(conditions, shares, noise, clues)).clamp(-1, 1)
 
-    def known(self, picture: Tensor, shown: Tensor) -> Known:
-        """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) where it is shown, (1, FACTOR h, FACTOR w) bool.
+    def clues(self, picture: Tensor, shown: Tensor) -> Clues:
+        """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) in its pixels in view, (1, FACTOR h, FACTOR w) bool.
 
-        Those of cells at its edge are not known: the encoder saw beyond it.
+        Those of cells at its edge are left out: the encoder read beyond it.
         """
         latents = self.decoder.normalised(self.encoder(picture * shown[:, None]).float())
         unknown = max_pool2d(pad_azimuth(max_pool2d((~shown)[:, None].float(), FACTOR), 1), 3, 1, (1, 0))
-        return Known.of(latents, unknown[:, 0] == 0)
+        return Clues.of(latents, unknown[:, 0] == 0)
 
 
 def waves(time: Tensor) -> Tensor:

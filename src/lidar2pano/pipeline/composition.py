@@ -135,9 +135,9 @@ def turned_fit(camera: Camera, edge_points: Tensor) -> float:
 
 
 class Photographed(NamedTuple):
-    """What cameras show on a panorama's raster.
+    """Colours of cameras on a panorama's raster.
 
-    colour   (3, H, W) float32 codes, 0 where none sees;  source: (H, W) uint8, the number of a pixel's camera, or 0.
+    colour   (3, H, W) float32 codes, 0 out of sight;  source: (H, W) uint8, the number of a pixel's camera, or 0.
     cameras  with the gains that bring them together.
     """
 
@@ -146,7 +146,7 @@ class Photographed(NamedTuple):
     cameras: tuple[Camera, ...]
 
     def signed(self, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Return colours (1, 3, H, W) in [-1, 1] and where a camera sees, (1, H, W) bool."""
+        """Return colours (1, 3, H, W) in [-1, 1] and the pixels in sight of a camera, (1, H, W) bool."""
         return self.colour[None].to(device) / 127.5 - 1, (self.source > 0)[None].to(device)
 
 

@@ -287,10 +287,10 @@ class Pipeline:
 
         cameras  sound ones: where they see, the panorama is theirs, and a painter that can goes on from it.
         """
-        with timer("finish"):
-            panorama = believed(scene, memory.frames)
+        panorama, real = None, None
         if cameras:
             with timer("cameras"):
+                panorama = believed(scene, memory.frames)
                 real = photographed(panorama, cameras)
                 scene = replace(scene, photographed=real.signed(self.device))
         with timer("paint"), fast_arithmetic(self.device):
@@ -299,9 +299,10 @@ class Pipeline:
             with timer("steady"):
                 memory, image = steady(memory, image, self.view)
         with timer("finish"):
+            panorama = panorama or believed(scene, memory.frames)
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
             panorama = replace(panorama, colour=colour.contiguous().cpu().numpy(), milliseconds=timer.milliseconds)
-        if cameras:
+        if real:
             with timer("cameras"):
                 panorama = compose(panorama, real)
         return replace(memory, frames=memory.frames + 1, painted=painted), panorama

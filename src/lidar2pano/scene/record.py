@@ -51,8 +51,8 @@ class Scene:
                     over time; None for a single scan.
     T_world_sensor  (4, 4) float64, the sensor's pose in a static frame; None where it is unknown.
     points          the scan's points; None in training.
-    photographed    colours (1, 3, 2H, 2W) float32 in [-1, 1] that cameras show, and where, (1, 2H, 2W) bool; None
-                    without cameras.
+    photographed    colours (1, 3, 2H, 2W) float32 in [-1, 1] of cameras, and the pixels in their sight,
+                    (1, 2H, 2W) bool; None without cameras.
     In training the first dimension is a batch of scenes.
     """
 

@@ -55,7 +55,7 @@ class LatentSample(NamedTuple):
     coverage    (H/4, W/4) bool: the camera shows all of their pixels.
     look        () int64: number of the look.
     style       (2L + 1,) float32: `style_of` the latents of some columns of the sector, not normalised.
-    picture     (3, 2H, 2W) float32 in [-1, 1], the photograph;  shown: (2H, 2W) bool, where the camera shows it. Both
+    picture     (3, 2H, 2W) float32 in [-1, 1], the photograph;  shown: (2H, 2W) bool, its pixels in view. Both
                 have no rows but from PicturedFrames.
     """
 
@@ -149,7 +149,7 @@ class LatentFrames:
         return style_of(encoded.latents[part][None].float(), encoded.coverage[part][None, None].float())[0]
 
     def picture(self, index: int, start: int, cells: int) -> tuple[Tensor, Tensor]:  # noqa: ARG002, PLR6301 see below
-        """Return the picture of a crop that begins at a cell of the latents, and where it is shown: no rows."""
+        """Return the picture of a crop that begins at a cell of the latents, and its pixels in view: no rows."""
         return torch.zeros(3, 0, 0), torch.zeros(0, 0, dtype=torch.bool)
 
     @staticmethod
@@ -277,7 +277,7 @@ class PicturedFrames(LatentFrames):
     """Crops with their photographs."""
 
     def picture(self, index: int, start: int, cells: int) -> tuple[Tensor, Tensor]:
-        """Return the photograph of a crop, and where the camera shows it."""
+        """Return the photograph of a crop, and its pixels in view."""
         window = (..., slice(start * FACTOR, (start + cells) * FACTOR))
         picture, shown = self.photograph(index)
         return picture[window], shown[window]

@@ -20,7 +20,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import as_image
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.card import load
-from lidar2pano.models.latent_painter import CLASSES, GEOMETRY, MEASUREMENT, Known, LatentPainter
+from lidar2pano.models.latent_painter import CLASSES, GEOMETRY, MEASUREMENT, Clues, LatentPainter
 from lidar2pano.pipeline import assemble, load_part, load_segmenter
 from lidar2pano.train.latent_frames import LatentFrames, LatentSample
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
@@ -43,7 +43,7 @@ class LatentPaintingOptions(TaskOptions):
     autoencoder, segmenter, translator   weight files: of the latents, and of the scenes.
     cache        folder of the sectors, some 3 MB each; "": the folder .lidar2pano of their data set.
     free_probability    of a sample whose flow is given nothing of the scene, for guidance.
-    style_probability   of a sample whose style is known, from some columns of its photograph.
+    style_probability   of a sample to be given a style, of some columns of its photograph.
     given_probability   of one of those to be given the latents of some columns as well.
     absent_probability  of each group of conditions to be absent from a sample.
     shortcut     share of the samples of a batch for long steps.
@@ -143,14 +143,14 @@ class LatentPainting:
         latents = self.painter.decoder.normalised(batch.latents)
         noisy = self._noisy(latents)
         kept = (torch.rand(samples, device=conditions.device) >= self.options.free_probability).float()
-        known = self.known(batch, latents)
+        clues = self.clues(batch, latents)
         if taught := round(self.options.shortcut * samples):
             part = slice(taught)
-            long = self._long(conditions[part], shares[part], latents[part], Known(*(tensor[part] for tensor in known)))
+            long = self._long(conditions[part], shares[part], latents[part], Clues(*(tensor[part] for tensor in clues)))
             noisy = Noisy(*(torch.cat([head, whole[taught:]]) for head, whole in zip(long, noisy, strict=True)))
             kept = torch.cat([torch.ones_like(kept[part]), kept[taught:]])
         mean, velocity = self.networks["painter"](
-            conditions, shares, noisy.latents, noisy.time, noisy.step, kept, *known
+            conditions, shares, noisy.latents, noisy.time, noisy.step, kept, *clues
         )
         losses = {
             "mean": masked_error(mean, latents, batch.coverage),
@@ -163,8 +163,8 @@ class LatentPainting:
         """Return the shares (B, looks) of looks (B,), one each."""
         return torch.eye(len(self.painter.looks), device=look.device)[look]
 
-    def known(self, batch: LatentSample, latents: Tensor) -> Known:
-        """Return what is known of normalised latents: of some samples the style, of some of these also some columns."""
+    def clues(self, batch: LatentSample, latents: Tensor) -> Clues:
+        """Return clues of normalised latents: a style for some samples, and some columns for some of these."""
         samples, columns, options = len(latents), latents.shape[-1], self.options
         has_style, has_part = torch.rand(2, samples, device=latents.device) < torch.tensor(
             [[options.style_probability], [options.given_probability]], device=latents.device
@@ -172,11 +172,11 @@ class LatentPainting:
         ends = torch.randint(columns, (2, samples, 1), device=latents.device).sort(0).values
         number = torch.arange(columns, device=latents.device)
         chosen = (ends[0] <= number) & (number <= ends[1]) & (has_style & has_part)[:, None]
-        given = Known.of(latents, batch.coverage & chosen[:, None]).given
+        given = Clues.of(latents, batch.coverage & chosen[:, None]).given
         mean, deviation = cast("Tensor", self.painter.decoder.scale)
         spread, present = batch.style[:, len(mean) : -1] / deviation, batch.style[:, -1:]
         style = torch.cat([(batch.style[:, : len(mean)] - mean) / deviation * present, spread, present], 1)
-        return Known(given, style * has_style[:, None])
+        return Clues(given, style * has_style[:, None])
 
     def _with_absent(self, conditions: Tensor) -> Tensor:
         """Return conditions of which some groups are absent."""
@@ -195,7 +195,7 @@ class LatentPainting:
         )
 
     @torch.no_grad()
-    def _long(self, conditions: Tensor, shares: Tensor, latents: Tensor, known: Known) -> Noisy:
+    def _long(self, conditions: Tensor, shares: Tensor, latents: Tensor, clues: Clues) -> Noisy:
         """Return latents at the beginning of long steps, and the mean velocity of two steps of half the length."""
         samples, device = len(latents), latents.device
         number = torch.tensor(LENGTHS, device=device)[torch.randint(len(LENGTHS), (samples,), device=device)]
@@ -203,20 +203,20 @@ class LatentPainting:
         time = (torch.rand(samples, device=device) * number).floor() * step
         start = torch.lerp(torch.randn_like(latents), latents, time[:, None, None, None])
         half = step / 2
-        first = self._half_step(conditions, shares, start, time, half, known)
+        first = self._half_step(conditions, shares, start, time, half, clues)
         middle = start + half[:, None, None, None] * first
-        second = self._half_step(conditions, shares, middle, time + half, half, known)
+        second = self._half_step(conditions, shares, middle, time + half, half, clues)
         return Noisy(start, time, step, (first + second) / 2)
 
     def _half_step(  # noqa: PLR0913, PLR0917 the inputs of a network
-        self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, half: Tensor, known: Known
+        self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, half: Tensor, clues: Clues
     ) -> Tensor:
         """Return the velocity of a learned step; the guided instant one if the step is shorter than all of them."""
         network, samples = self.networks["painter"], len(noisy)
         instant = half < 1 / max(LENGTHS)
         step, kept = torch.where(instant, 0.0, half), torch.ones_like(time)
         twice = [torch.cat([part, part]) for part in (conditions, shares, noisy, time, step)]
-        _, velocity = network(*twice, torch.cat([kept, 0 * kept]), *(torch.cat([part, part]) for part in known))
+        _, velocity = network(*twice, torch.cat([kept, 0 * kept]), *(torch.cat([part, part]) for part in clues))
         conditioned, free = velocity.float().split(samples)
         weight = torch.where(instant, self.painter.guidance, 1.0)
         return torch.lerp(free, conditioned, weight[:, None, None, None])
@@ -235,7 +235,7 @@ class LatentPainting:
             for time in TIMES:
                 noisy = torch.lerp(noise, latents, time)
                 mean, velocity = network(
-                    sample.conditions, shares, noisy, time * unit, 0 * unit, unit, *Known.nothing(latents)
+                    sample.conditions, shares, noisy, time * unit, 0 * unit, unit, *Clues.empty(latents)
                 )
                 parts = ((mean, latents), (velocity, latents - noise))
                 losses.append([float(masked_error(made, real, sample.coverage)) for made, real in parts])

@@ -100,9 +100,9 @@ class LatentTexture(LatentPainting):
         """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from new noise."""
         conditions = batch.conditions.contiguous(memory_format=torch.channels_last)
         with fast_arithmetic(conditions.device):
-            known = self.known(batch, self.painter.decoder.normalised(batch.latents))
+            clues = self.clues(batch, self.painter.decoder.normalised(batch.latents))
             noise = torch.randn_like(batch.latents)
-            latents = self.painter.latents_of(conditions, self.shares(batch.look), noise, known)
+            latents = self.painter.latents_of(conditions, self.shares(batch.look), noise, clues)
             return self.painter.decoder(latents).float()
 
 
