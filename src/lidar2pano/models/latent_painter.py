@@ -427,7 +427,7 @@ class LatentPainter(LookPainter):
         return None, self.decoder(self.latents_of(conditions, shares, noise, clues)).clamp(-1, 1)
 
     def clues(self, picture: Tensor, shown: Tensor) -> Clues:
-        """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) in its pixels in view, (1, FACTOR h, FACTOR w) bool.
+        """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) for its pixels in view, (1, FACTOR h, FACTOR w).
 
         Those of cells at its edge are left out: the encoder read beyond it.
         """
