@@ -6,13 +6,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 
 import pytest
 import torch
 from torch import nn
 
 from engine_of_torch import SLIM, TorchEngine
-from lidar2pano.engines import ENGINES, accelerated, disk_cache, pick_engine
+from lidar2pano.engines import BUILDERS, ENGINES, accelerated, disk_cache, pick_engine
 from lidar2pano.engines.compiled import MOST_SHAPES, CompiledForward, agrees, distance, other_classes
 from lidar2pano.engines.runtimes import OnnxRuntime, OpenVino
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
@@ -181,7 +182,9 @@ def builds(monkeypatch):
 
 
 def forward_of(engine: TorchEngine, weights: str = "w", *, optional: bool = False) -> CompiledForward:
-    return CompiledForward(network_of("titan-pano"), "titan-pano", weights, engine, optional=optional)
+    return CompiledForward(
+        network_of("titan-pano"), "titan-pano", weights, engine, compiles=not optional, optional=optional
+    )
 
 
 def test_a_network_is_built_once_per_shape_and_weights(builds):
@@ -251,6 +254,22 @@ def test_auto_compiles_nothing_and_takes_what_was_compiled(builds):
     chosen = forward_of(TorchEngine(), optional=True)
     chosen(*inputs)
     assert len(builds) == 1 and None not in chosen._runs.values()
+
+
+@pytest.mark.parametrize(("variable", "count"), [("openvino", 1), ("auto", 0), ("", 0)])
+def test_an_engine_that_the_environment_names_compiles(builds, monkeypatch, variable, count):
+    monkeypatch.setenv("LIDAR2PANO_ENGINE", variable)
+    monkeypatch.setattr("lidar2pano.engines._is_installed", lambda module: True)
+    monkeypatch.setattr("lidar2pano.engines.has_bfloat16", lambda device: True)
+    monkeypatch.setitem(BUILDERS, "openvino", TorchEngine)
+    inputs = inputs_of("titan-pano")
+    accelerated(network_of("titan-pano"), "titan-pano", "w", "auto", CPU)(*inputs)
+    assert len(builds) == count, "auto alone compiles nothing"
+    unfit = partial(TorchEngine, failure="no kernel")
+    monkeypatch.setitem(BUILDERS, "openvino", unfit)
+    network = network_of("titan-pano")
+    expected = network(*inputs)[0]
+    assert torch.equal(accelerated(network, "titan-pano", "v", "auto", CPU)(*inputs)[0], expected), "torch takes over"
 
 
 def test_auto_asks_no_engine_where_nothing_was_compiled(builds, monkeypatch):

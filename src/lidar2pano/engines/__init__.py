@@ -55,7 +55,8 @@ def accelerated(network: nn.Module, model: str, weights: str, engine: str, devic
     """Let an engine compute a network's `forward`; return the network, changed in place.
 
     model    its name in models.MODELS;  weights: checksum of its weights, "" to keep nothing on disk.
-    engine   of ENGINES. With "auto", the engine computes networks compiled before by its name, and torch all else.
+    engine   of ENGINES. With "auto", the engine computes networks compiled before by its name, and torch all else; one
+             that VARIABLE names compiles, and leaves to torch what it cannot compute.
     Otherwise it is compiled for each shape of inputs when they first come.
     Raises InputError as `pick_engine`, and for a network that runs in torch only.
     """
@@ -71,7 +72,9 @@ def accelerated(network: nn.Module, model: str, weights: str, engine: str, devic
         _announce_first_call(network, model)
         return network
     plain = copy.copy(network)  # the same weights, and torch's own forward
-    network.forward = CompiledForward(plain, model, weights, BUILDERS[picked](), optional=engine == "auto")
+    optional = engine == "auto"
+    compiles = not optional or os.environ.get(VARIABLE, "auto") not in ("", "auto")
+    network.forward = CompiledForward(plain, model, weights, BUILDERS[picked](), compiles=compiles, optional=optional)
     return network
 
 

@@ -59,14 +59,16 @@ class CompiledForward:
     Class scores are returned in the engine's arithmetic, all else in float32.
 
     network   as torch runs it;  model: its name in SIGNATURES;  weights: their checksum, "" to keep nothing on disk.
-    optional  whether torch computes shapes that were not compiled before, since compiling takes half a minute, and one
-              scan does not earn it back, and networks that the engine computes less exactly. Otherwise a network is
-              compiled now, and an engine's failure is an InputError.
+    compiles  whether a network is compiled now; else torch computes shapes that were not compiled before: that takes
+              half a minute, and one scan does not earn it back.
+    optional  whether torch computes networks that the engine fails at, or computes less exactly: else an InputError.
     """
 
-    def __init__(self, network: nn.Module, model: str, weights: str, engine: Engine, *, optional: bool) -> None:
+    def __init__(
+        self, network: nn.Module, model: str, weights: str, engine: Engine, *, compiles: bool, optional: bool
+    ) -> None:
         self.network, self.model, self.weights = network, model, weights
-        self.engine, self.optional = engine, optional
+        self.engine, self.compiles, self.optional = engine, compiles, optional
         self._runs: OrderedDict[tuple[Shape, ...], Run | None] = OrderedDict()
         self._lock = threading.Lock()  # a compiled network serves one call at a time
 
@@ -91,13 +93,13 @@ class CompiledForward:
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _run_for(self, inputs: tuple[Tensor, ...], shapes: tuple[Shape, ...]) -> Run | None:
-        if self.optional and disk_cache.is_empty():  # no engine is asked: importing it takes a fifth of a second
+        if not self.compiles and disk_cache.is_empty():  # no engine is asked: importing it takes a fifth of a second
             return None
         parts = [self.engine.name, self.engine.conditions(), self.model, self.weights, shapes, _sources()]
         key = hashlib.sha256(json.dumps(parts).encode()).hexdigest() if self.weights else ""
         try:
             stored = self._stored(key, inputs[0].device)
-            if stored or self.optional:
+            if stored or not self.compiles:
                 return stored
             kept = "; it is kept on disk" if key else ""
             with working(f"compiling the {self.model} for {self.engine.name}, once for scans like this one{kept}"):
