@@ -270,7 +270,10 @@ def test_the_server_answers_the_documented_request(bench, family):
 @released
 @pytest.mark.filterwarnings("ignore:.torch.jit.script_method. is deprecated:DeprecationWarning")  # torch's own
 @pytest.mark.parametrize("family", INSTALLED)
-@pytest.mark.parametrize("engine", ["torch", "compile", "onnx", "openvino"])
+@pytest.mark.parametrize(
+    "engine",  # both families' networks are alike: what is compiled for one, the next in the same worker has
+    ["torch", pytest.param("compile", marks=pytest.mark.xdist_group("compile")), "onnx", "openvino"],
+)
 def test_every_output_by_every_engine(bench, family, engine):
     if engine == "compile" and not shutil.which(os.environ.get("CXX", "g++")):
         pytest.skip("torch.compile needs a C++ compiler")
