@@ -119,9 +119,15 @@ def odd_files(xyz: np.ndarray, ring: np.ndarray) -> dict[str, bytes]:
     vertices = [b"\2aabb" + row.tobytes() + b"\1cc" for row in xyz[:3].astype("<f4")]
     posed = sample_files.pcd(xyz[:, [0, 2, 1]] * [1, 1, -1], spikes)
     table = "".join(f"{x:.3f};{y:.3f};{z:.3f};9\n" for x, y, z in xyz[:9]).replace(".", ",")
+    clocks = "".join(f"2024-01-02T03:04:05.{place:03d},{x},{y},{z},9\n" for place, (x, y, z) in enumerate(xyz[:9]))
     return {
         "decimals.csv": f"X [mm];Y [mm];Z [mm];Intensity (0-255)\n{table}".encode(),
         "studio.csv": f'"Point:0";"Point:1";"Point:2";"Signal Photons"\n{table}'.encode(),
+        "legacy.csv": "T,X\u5750\u6807,Y\u5750\u6807,Z\u5750\u6807,\u53cd\u5c04\u5f3a\u5ea6\n".encode("gbk")
+        + clocks.encode(),
+        "matrices.txt": b"1 0 0 0.5 0 1 0 2.5 0 0 1 0\n" * 12,
+        "path.bin": np.linspace((0, 0, 0, 0), (400, 30, 2, 1), 200, dtype="<f4").tobytes(),
+        "records.npy": sample_files.npy(np.array(np.rec.fromarrays(np.column_stack([xyz, spikes]).T))),
         "lists.ply": header + b"".join(vertices),
         "wide.bin": sample_files.rows(xyz, spikes, ring, np.arange(len(xyz)) * 1e-6, ring % 3),
         "posed.pcd": posed.replace(b"VIEWPOINT 0 0 0 1 0", b"VIEWPOINT 1 2 3 .7 -.7"),
