@@ -179,8 +179,8 @@ def test_a_style_is_the_mean_and_the_deviation_of_what_is_known():
     assert not style[1].any()
     clues = Clues.of(latents, mask)
     assert torch.equal(clues.style, style)
-    assert torch.equal(clues.given[0, :4, 1, 2:], part) and clues.given[0].count_nonzero() == 5 * 3
-    assert not clues.given[1].any()
+    assert torch.equal(clues.photograph[0, :4, 1, 2:], part) and clues.photograph[0].count_nonzero() == 5 * 3
+    assert not clues.photograph[1].any()
     assert not any(part.any() for part in Clues.empty(latents))
 
 
@@ -191,7 +191,7 @@ def test_what_is_known_changes_what_is_painted_in_all_directions():
     mask = torch.zeros(1, 4, 288, dtype=torch.bool)
     mask[..., :8] = True
     clues = Clues.of(3 + noise, mask)
-    parts = (Clues.empty(noise), Clues(clues.given, 0 * clues.style), clues)
+    parts = (Clues.empty(noise), Clues(clues.photograph, 0 * clues.style), clues)
     with torch.inference_mode():
         nothing, given, both = (network.latents_of(conditions, shares, noise, part) for part in parts)
     assert not torch.equal(given[..., :8], nothing[..., :8])

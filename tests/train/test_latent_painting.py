@@ -236,7 +236,7 @@ def test_a_long_step_is_the_mean_of_two_halves(place):
     task = build_task(small(place), place / "set")
 
     class Lengths(torch.nn.Module):
-        def forward(self, conditions, shares, noisy, time, step, kept, given, style):
+        def forward(self, conditions, shares, noisy, time, step, kept, photograph, style):
             velocity = torch.zeros_like(noisy) + torch.where(step > 0, step, 7 * kept)[:, None, None, None]
             return torch.zeros_like(noisy), velocity
 

@@ -67,7 +67,7 @@ SIGNATURES: dict[str, Signature] = {
             "noisy": "noise at first, then latents on their way (step 6)",
             "time": "how much of the way is gone, in [0, 1]",
             "step": "length of the step from there, in [0, 1]",
-            "given": "latents that are known and, last, 1 where they are; else 0 (step 6)",
+            "photograph": "latents that are known and, last, 1 where they are; else 0 (step 6)",
             "style": "means and deviations of the known latents, and 1; 0 if none are",
         },
         outputs={"velocity": "of the latents on their way"},

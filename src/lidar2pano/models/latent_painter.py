@@ -264,7 +264,7 @@ class FlowNetwork(nn.Module):
         noisy: Tensor,
         time: Tensor,
         step: Tensor,
-        given: Tensor,
+        photograph: Tensor,
         style: Tensor,
     ) -> Tensor:
         """Return the velocity (B, latents, h, w).
@@ -272,19 +272,19 @@ class FlowNetwork(nn.Module):
         conditions, shares  as of MeanNetwork;  mean: its output, (B, latents, h, w).
         noisy       (B, latents, h, w) = (1 - time) noise + time latents.
         time, step  (B,) in [0, 1]. A step of 0 asks for the instant velocity, another for the mean velocity over it.
-        given       (B, latents + 1, h, w): latents of a photograph, then 1; 0 in all other places.
+        photograph  (B, latents + 1, h, w): latents of a photograph, then 1; 0 in all other places.
         style       (B, 2 latents + 1): `style_of` a photograph in all directions, 0 without one.
         """
         code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1)) + self.style(style)
         mean = mean.to(noisy.dtype)
         remainder = noisy - time[:, None, None, None].to(noisy.dtype) * mean
-        return mean + self.unet(conditions, code, torch.cat([remainder, mean, given.to(noisy.dtype)], 1))
+        return mean + self.unet(conditions, code, torch.cat([remainder, mean, photograph.to(noisy.dtype)], 1))
 
 
 class Clues(NamedTuple):
-    """Latents that a camera gives, and their style; `given` and `style` of FlowNetwork."""
+    """Latents that a camera gives, and their style; `photograph` and `style` of FlowNetwork."""
 
-    given: Tensor
+    photograph: Tensor
     style: Tensor
 
     @classmethod
@@ -382,17 +382,17 @@ class LatentPainter(LookPainter):
         time: Tensor,
         step: Tensor,
         kept: Tensor,
-        given: Tensor,
+        photograph: Tensor,
         style: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Return the mean and the velocity, (B, latents, h, w) each, of normalised latents.
 
-        conditions, shares, noisy, time, step, given, style  as of FlowNetwork.
+        conditions, shares, noisy, time, step, photograph, style  as of FlowNetwork.
         kept        (B,) 1, or 0: the flow is given neither conditions nor mean. No gradient passes from it to the mean.
         """
         mean = self.mean(conditions, shares)
         kept = kept[:, None, None, None]
-        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step, given, style)
+        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step, photograph, style)
 
     def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor, clues: Clues | None = None) -> Tensor:
         """Return normalised latents (B, latents, h, w) float32 from noise of that shape; arguments of MeanNetwork."""

@@ -172,11 +172,11 @@ class LatentPainting:
         ends = torch.randint(columns, (2, samples, 1), device=latents.device).sort(0).values
         number = torch.arange(columns, device=latents.device)
         chosen = (ends[0] <= number) & (number <= ends[1]) & (has_style & has_part)[:, None]
-        given = Clues.of(latents, batch.coverage & chosen[:, None]).given
+        photograph = Clues.of(latents, batch.coverage & chosen[:, None]).photograph
         mean, deviation = cast("Tensor", self.painter.decoder.scale)
         spread, present = batch.style[:, len(mean) : -1] / deviation, batch.style[:, -1:]
         style = torch.cat([(batch.style[:, : len(mean)] - mean) / deviation * present, spread, present], 1)
-        return Clues(given, style * has_style[:, None])
+        return Clues(photograph, style * has_style[:, None])
 
     def _with_absent(self, conditions: Tensor) -> Tensor:
         """Return conditions of which some groups are absent."""
