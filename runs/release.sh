@@ -94,8 +94,8 @@ stage painter fast-painter "$kitti" 120 data.train="$real" "${taught[@]}" "${fix
 family kitti-mini "$(weights segmenter segmenter)" "$(weights translator translator)" "$(weights painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0
 
-# The latent painter, from photographs (PHOTOGRAPHS: splits with images, "train,FOLDER:split,..."): no family has it yet.
-# runs/stages/ keeps the stage `pictures` and the beginning of `latents`, for whoever goes on from there.
+# The latent painter, from photographs (PHOTOGRAPHS: splits with images, "train,FOLDER:split,..."): the look `photograph`
+# of `kitti-mini`. runs/stages/ keeps the stage `pictures`, for whoever goes on from there.
 photographs=(data.train="${PHOTOGRAPHS:-train}" training.validate_minutes=0)
 stage pictures autoencoder "$kitti" 70 "${photographs[@]}" options.perceptual=0 options.adversarial=0
 stage latents latent-painter "$kitti" 240 data.train="${PHOTOGRAPHS:-train},$day:all" training.validate_minutes=0 \

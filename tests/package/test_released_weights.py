@@ -23,6 +23,7 @@ from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import Memory
 from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.models.families import weight_files
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import cylinder_points, normals
 
@@ -144,6 +145,18 @@ def test_segments_labels_depth_and_colours_are_as_good_as_they_were(made: tuple[
 def test_classes_have_the_colours_of_a_street(made: tuple[str, lidar2pano.Panorama]) -> None:
     found = figures_of(made[1])
     assert wrong_colours(found) == [], found
+
+
+@needs_streets
+def test_the_look_photograph_has_the_colours_of_a_street_and_other_pictures() -> None:
+    """It is another painter of the same belief."""
+    pipeline = lidar2pano.load(weight_files("kitti-mini", look="photograph"), "cpu", "torch")
+    pictures = [one(lidar2pano.read(street())) for one in (pipeline, pipeline.in_variant(seed=1))]
+    found = figures_of(pictures[0])
+    assert wrong_colours(found) == [], found
+    assert {"abs_rel", "miou", "accuracy"}.isdisjoint(missed_bounds("kitti-mini", found))
+    differences = np.abs(pictures[0].colour.astype(int) - pictures[1].colour)
+    assert differences.mean() > 2
 
 
 def test_roads_lie_and_walls_stand(seen: tuple[str, Scene, lidar2pano.Panorama]) -> None:
