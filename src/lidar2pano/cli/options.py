@@ -73,9 +73,7 @@ MaskOption = Annotated[
 LookOption = Annotated[
     str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
 ]
-QualityOption = Annotated[
-    str, typer.Option(metavar="fast|best", help="Steps of a latent painter: as few as it has learned, or eight.")
-]
+QualityOption = Annotated[str, typer.Option(metavar="fast|best", help="Steps of a latent painter: two, or four.")]
 SeedOption = Annotated[int, typer.Option(metavar="S", help="Another plausible panorama by a latent painter.")]
 SteadyOption = Annotated[
     bool,

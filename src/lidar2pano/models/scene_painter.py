@@ -23,7 +23,7 @@ from lidar2pano.models.blocks import CircularConv, CircularResidual, SummedSeque
 from lidar2pano.scene.depth import depth_code
 from lidar2pano.scene.record import Scene
 
-QUALITIES = {"fast": 0, "best": 8}  # steps of a latent painter's picture; 0: as many as it has learned to take
+QUALITIES = {"fast": 0, "best": 4}  # steps of a latent painter's picture; 0: as many as its settings say
 # The look of these classes hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
