@@ -17,7 +17,6 @@ import lidar2pano
 from lidar2pano.data.layouts import frames
 from lidar2pano.evaluate.hidden_cameras import frame_cameras
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline.composition import compose
 
 WIDTH, MOST_BYTES = 1200, 150_000
 COLOURS = np.array([[60, 60, 60], [230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [204, 121, 167]])
@@ -41,8 +40,8 @@ def main(root: str, name: str) -> None:
     split = frames(Path(root), "all")
     frame = split[split.names.index(name)]
     front, *others = frame_cameras(frame)
-    alone = lidar2pano.load().at(front.calibration)(frame.scan)
-    parts = rows(alone, compose(alone, others))
+    pipeline = lidar2pano.load().at(front.calibration)
+    parts = rows(pipeline(frame.scan), pipeline(frame.scan, others))
     picture = Image.new("RGB", (WIDTH, sum(part.height + 4 for part in parts) - 4), "white")
     top = 0
     for part in parts:

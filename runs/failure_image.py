@@ -16,7 +16,7 @@ from PIL import Image
 import lidar2pano
 from lidar2pano.data.layouts import frames
 from lidar2pano.evaluate.hidden_cameras import frame_cameras
-from lidar2pano.pipeline.composition import compose
+from lidar2pano.pipeline.composition import compose, photographed
 
 WIDTH, QUALITY = 1200, 80
 FAMILIES = ("kitti-mini", "world")
@@ -34,7 +34,7 @@ def main(root: str, name: str) -> None:
     split = frames(Path(root), "all")
     frame = split[split.names.index(name)]
     alone = [lidar2pano.load(family)(frame.scan) for family in FAMILIES]
-    seen = compose(alone[0], list(frame_cameras(frame)))
+    seen = compose(alone[0], photographed(alone[0], frame_cameras(frame)))
     assert seen.source is not None
     parts = [rear_half(seen.colour * (seen.source > 0)[..., None]), *(rear_half(panorama.colour) for panorama in alone)]
     picture = Image.new("RGB", (WIDTH, sum(part.height + 4 for part in parts) - 4), "white")
