@@ -70,10 +70,9 @@ stage world-painter scene-painter "$day" 120 data.train="all,$pictures" "${input
 family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
   "$(weights world-painter painter)" "$out/towns/test" all Apache-2.0
 
-# Family `kitti-mini`: real frames beside towns, from the networks of `world`; all three networks are taught by wide ones.
+# Family `kitti-mini`: real frames beside towns, from the networks of `world`; segmenter and translator are taught by wide ones.
 often=$(printf 'train,%.0s' {1..6})$(printf 'labelled,%.0s' {1..8})
 real=train,train,train,"$day:all,$pictures"
-kitti_looks=(options.look=kitti networks.painter.settings.looks=day,overcast,autumn,evening,kitti networks.painter.settings.look=kitti)
 stage wide-segmenter release-segmenter "$kitti" 60 data.train="$often$scans" "${any_direction[@]}" \
   networks.segmenter.start="$(weights world-wide segmenter)"
 stage segmenter fast-segmenter "$kitti" 45 data.train="$often$scans" "${any_direction[@]}" \
@@ -84,22 +83,15 @@ stage wide-translator release-translator "$kitti" 75 data.train="$real" training
 stage translator fast-translator "$kitti" 90 data.train="$real" training.validate_minutes=0 "$labels" \
   options.teacher="$(weights wide-translator translator)" options.elsewhere_probability=0.35
 inputs=("$labels" options.translator="$(weights translator translator)")
-stage wide-scene scene-painter "$kitti" 60 data.train="$real" "${inputs[@]}" "${painting[@]}" "${kitti_looks[@]}"
-stage wide-painter scene-painter "$kitti" 90 data.train="$real" "${inputs[@]}" "${painting[@]}" "${kitti_looks[@]}" \
-  "${fixed[@]}" networks.painter.start="$(weights wide-scene painter)"
-taught=("${inputs[@]}" "${painting[@]}" "${kitti_looks[@]}" options.teacher="$(weights wide-painter painter)" options.streaks=40)
-stage scene fast-painter "$kitti" 60 data.train="$real" "${taught[@]}" options.fixed_norms=false
-stage painter fast-painter "$kitti" 120 data.train="$real" "${taught[@]}" "${fixed[@]}" \
-  networks.painter.start="$(weights scene painter)"
+
+# Its painter learns from photographs (PHOTOGRAPHS: splits with images, "train,FOLDER:split,..."), and from towns in their own
+# looks what no camera sees. runs/stages/ keeps the stage `pictures`, for whoever goes on from there.
+photographs=(data.train="${PHOTOGRAPHS:-train}" training.validate_minutes=0)
+everywhere=(data.train="${PHOTOGRAPHS:-train},$day:all,$pictures" training.validate_minutes=0)
+stage pictures autoencoder "$kitti" 70 "${photographs[@]}" options.perceptual=0 options.adversarial=0
+inputs+=(options.autoencoder="$(weights pictures autoencoder)")
+stage latents latent-painter "$kitti" 240 "${everywhere[@]}" "${inputs[@]}"
+stage painter latent-texture "$kitti" 95 "${everywhere[@]}" "${inputs[@]}" \
+  networks.painter.start="$(weights latents painter)"
 family kitti-mini "$(weights segmenter segmenter)" "$(weights translator translator)" "$(weights painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0
-
-# The latent painter, from photographs (PHOTOGRAPHS: splits with images, "train,FOLDER:split,..."): the look `photograph`
-# of `kitti-mini`. runs/stages/ keeps the stage `pictures`, for whoever goes on from there.
-photographs=(data.train="${PHOTOGRAPHS:-train}" training.validate_minutes=0)
-stage pictures autoencoder "$kitti" 70 "${photographs[@]}" options.perceptual=0 options.adversarial=0
-stage latents latent-painter "$kitti" 240 data.train="${PHOTOGRAPHS:-train},$day:all" training.validate_minutes=0 \
-  "${inputs[@]}" options.autoencoder="$(weights pictures autoencoder)"
-stage latent-painter latent-texture "$kitti" 95 data.train="${PHOTOGRAPHS:-train},$day:all" training.validate_minutes=0 \
-  "${inputs[@]}" options.autoencoder="$(weights pictures autoencoder)" \
-  networks.painter.start="$(weights latents painter)"

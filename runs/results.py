@@ -82,8 +82,8 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   sensor's poses; the ground truth's own is {still}.
 - **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras; no network has seen the place or the sensor.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
-- **Not measured again** since the hand-made rules between translator and painter went: the towns, fewer beams, and
-  times, whose stage "cars" is part of "paint" now.
+- **Not measured again** since the hand-made rules between translator and painter went: classes and depths in the towns,
+  `world`'s pictures there, and fewer beams. Colours of `kitti-mini` and times are of its latent painter.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures; 1 is as far as real images
   are from each other. Its features are EfficientNet-Lite2's (the painters were trained against its smaller sister

@@ -23,7 +23,6 @@ from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import Memory
 from lidar2pano.metrics.confusion import Confusion
-from lidar2pano.models.families import weight_files
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import cylinder_points, normals
 
@@ -59,10 +58,10 @@ FLOORS = {
     "world": {"miou": 0.69, "accuracy": 0.82, "point_accuracy": 0.88, "no_depth": 0.43},
     "kitti-mini": {"miou": 0.665, "accuracy": 0.82, "point_accuracy": 0.86, "no_depth": 0.365},
 }
-# The colours of kitti-mini are those of KITTI's camera, not of the simulated one.
+# The colours of kitti-mini are those of photographs, not of the simulated camera.
 CEILINGS = {
     "world": {"abs_rel": 0.18, "colour_distance": 38.0},
-    "kitti-mini": {"abs_rel": 0.175, "colour_distance": 42.0},
+    "kitti-mini": {"abs_rel": 0.175, "colour_distance": 52.0},
 }
 
 
@@ -148,15 +147,11 @@ def test_classes_have_the_colours_of_a_street(made: tuple[str, lidar2pano.Panora
 
 
 @needs_streets
-def test_the_look_photograph_has_the_colours_of_a_street_and_other_pictures() -> None:
-    """It is another painter of the same belief."""
-    pipeline = lidar2pano.load(weight_files("kitti-mini", look="photograph"), "cpu", "torch")
-    pictures = [one(lidar2pano.read(street())) for one in (pipeline, pipeline.in_variant(seed=1))]
-    found = figures_of(pictures[0])
-    assert wrong_colours(found) == [], found
-    assert {"abs_rel", "miou", "accuracy"}.isdisjoint(missed_bounds("kitti-mini", found))
-    differences = np.abs(pictures[0].colour.astype(int) - pictures[1].colour)
-    assert differences.mean() > 2
+def test_another_seed_is_another_picture_of_the_same_belief() -> None:
+    pipeline = lidar2pano.load("kitti-mini", "cpu", "torch")
+    one, other = (pipeline.in_variant(seed=seed)(lidar2pano.read(street())) for seed in (0, 1))
+    assert np.abs(one.colour.astype(int) - other.colour).mean() > 2
+    assert np.array_equal(one.segments, other.segments) and np.array_equal(one.depth_m, other.depth_m)
 
 
 def test_roads_lie_and_walls_stand(seen: tuple[str, Scene, lidar2pano.Panorama]) -> None:
