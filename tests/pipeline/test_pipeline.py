@@ -535,19 +535,6 @@ def test_of_several_painters_a_look_names_one(random_weights, tmp_path):
     assert weight_files(chain, look="cityscapes")["painter"] == city
     with pytest.raises(InputError, match=r"are both a painter; name one of them \(for painters, --look"):
         weight_files(tmp_path / "both", fill=False, look="day")
-    plain = write_weights(tmp_path / "both", "painter", "vid2vid", GENERATOR)
-    assert weight_files(tmp_path / "both", fill=False, look="day") == {"painter": plain}  # whose own look it may be
-    assert weight_files(tmp_path / "both", fill=False, look="kitti") == {"painter": kitti}
-
-
-def test_a_family_has_looks_that_are_files(random_weights, monkeypatch):
-    install_only(monkeypatch, random_weights.parent)
-    further = write_weights(random_weights, "photograph", "vid2vid", GENERATOR)
-    try:
-        files = {look: weight_files(random_weights.name, look=look)["painter"].stem for look in ("", "photograph")}
-    finally:
-        further.unlink()
-    assert files == {"": "painter", "photograph": "photograph"}
 
 
 def test_looks_that_are_files_are_painted(random_weights, tmp_path, capsys):

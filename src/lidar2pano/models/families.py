@@ -34,7 +34,6 @@ ROLES: dict[str, str] = {
 """The part that a network plays; a translator of the paper's kind that gives colours is a renderer (see `role`)."""
 
 
-DEFAULT = "painter"  # stem of the painter's file that paints if no look is named
 log = logging.getLogger("lidar2pano")
 
 
@@ -68,8 +67,7 @@ def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict
     name  a family; BEST; a folder of weight files or a training run (its `weights/`); or one weight file. Several
           joined by "+" are taken together, later ones in the places of earlier ones. Other roles are filled
           by the best installed family, if there is one and `fill` is true.
-    look  of several painters, one for each look, the file of this name (without .safetensors) is taken, and else the
-          one called painter.
+    look  of several painters, one for each look, the file of this name (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
     installed = families()
@@ -85,7 +83,7 @@ def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict
             files |= further
         return files
     if str(name) in installed:
-        return by_role(installed[str(name)].glob("*.safetensors"), look)
+        return by_role(sorted(installed[str(name)].glob("*.safetensors")))
     path = Path(name)
     if path.is_dir():
         folder = path / "weights" if (path / "weights").is_dir() else path
@@ -99,7 +97,7 @@ def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict
             f"no weights {str(name)!r}: neither a released family nor a file" + _remedy(str(name), installed)
         )
     own = by_role(files, look)
-    rest = by_role(installed[best_family()].glob("*.safetensors")) if fill and installed else {}
+    rest = by_role(sorted(installed[best_family()].glob("*.safetensors"))) if fill and installed else {}
     return rest | own
 
 
@@ -133,16 +131,16 @@ def paints_look(files: Mapping[str, Path], look: str) -> bool:
 def by_role(files: Iterable[Path], look: str = "") -> dict[str, Path]:
     """Weight files by the roles of their networks; InputError when one has none, or two have the same.
 
-    look  see `weight_files`: other painters than the one of this name, or than `painter`, are left out.
+    look  see `weight_files`: other painters than the one of this name are left out.
     """
     roles: dict[str, Path] = {}
-    for file in sorted(files, key=lambda file: (file.stem != look, file.stem != DEFAULT, file)):
+    for file in sorted(files, key=lambda file: file.stem != look):
         card = read_card(file)
         part = role(card)
         if part is None:
             mend = "evaluate takes it as --sdnet" if card.network == "sdnet" else f"name weights of {', '.join(ROLES)}"
             raise InputError(f"{file}: a {card.network!r} has no part in a system; {mend}")
-        if part == "painter" and (paints_look(roles, look) or paints_look(roles, DEFAULT)):
+        if part == "painter" and paints_look(roles, look):
             continue
         if part in roles:
             how = " (for painters, --look and a file's name do, too)" if part == "painter" else ""
