@@ -253,8 +253,8 @@ FAULTS = [
         "an image size of gigabytes", nothing, f"{TRANSLATE} --calib calib.txt --image-size 99999x99999", "--image-size"
     ),
     # scans
-    Fault("a scan of one place", scan(np.zeros((50, 3))), TRANSLATE, "can be used"),
-    Fault("a scan of NaN", scan(np.full((50, 3), np.nan)), TRANSLATE, "can be used"),
+    Fault("a scan of one place", scan(np.zeros((50, 3))), TRANSLATE, "has a place (all are 0 or NaN)"),
+    Fault("a scan of NaN", scan(np.full((50, 3), np.nan)), TRANSLATE, "has a place (all are 0 or NaN)"),
     # weights
     Fault("weights that are not finite", own(nan), OWN, "not finite"),
     Fault("a view that is a number", own(field(views={"input": 1})), OWN, "'views'.input must be an object"),

@@ -240,7 +240,8 @@ def test_of_a_table_numbers_alone_are_unpacked(tmp_path):
     import pyarrow as pa
     from pyarrow import parquet
 
-    columns = {name: np.arange(2000, dtype=np.float32) for name in "xyz"}
+    xyz = np.random.default_rng(0).uniform(-30, 30, (2000, 3)).astype(np.float32)  # no line, as of a trajectory
+    columns = dict(zip("xyz", xyz.T, strict=True))
     texts = pa.array(["a" * 100_000] * 2000)
     parquet.write_table(pa.table({**columns, "text": texts, "place": [{"x": 1.0, "y": "b"}] * 2000}), tmp_path / "a")
     code, error, _, mib = cost("inspect", str(tmp_path / "a"))
