@@ -45,7 +45,7 @@ def inputs_of(model: str, rows: int = 32, columns: int = 64) -> tuple[torch.Tens
         "titan-pano": [(5, rows, columns), (20, rows, columns)],
         "scene-painter": [(31, rows + 16, columns + 4), (3, 2 * rows + 4, 2 * columns + 4), (2,), (3,)],
         "latent-mean": [(26, rows, columns), (2,)],
-        "latent-flow": [(26, rows, columns), (2,), latents, latents, (), (), (5, *latents[1:]), (9,)],
+        "latent-flow": [(26, rows, columns), (2,), latents, latents, (), (128,), (5, *latents[1:]), (9,)],
         "latent-decoder": [latents],
     }[model]
     return tuple(torch.rand(1, *shape, generator=generator) for shape in shapes)

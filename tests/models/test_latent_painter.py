@@ -136,6 +136,15 @@ def test_a_scan_is_painted_and_another_step_count_paints_another_picture():
     assert not torch.equal(pictures[0], pictures[1])
 
 
+def moment(time: torch.Tensor, length: float) -> torch.Tensor:
+    """Sines and cosines of time and of the step's length, at frequencies from 1 to 1000."""
+    frequencies = [1000 ** (i / 31) for i in range(32)]
+    parts = [
+        function(value * f) for value in (float(time), length) for function in (math.sin, math.cos) for f in frequencies
+    ]
+    return torch.tensor([parts])
+
+
 @pytest.mark.parametrize("steps", [1, 4, 6])
 def test_steps_are_those_of_the_definition(steps):
     """Learned steps ask for their own length; more steps for the instant velocity, led away from the free one."""
@@ -147,10 +156,10 @@ def test_steps_are_those_of_the_definition(steps):
         for number in range(steps):
             time = torch.tensor([number / steps])
             if steps <= 4:
-                velocity = network.flow(conditions, shares, mean, x, time, torch.tensor([1 / steps]), *clues)
+                velocity = network.flow(conditions, shares, mean, x, time, moment(time, 1 / steps), *clues)
             else:
-                given = network.flow(conditions, shares, mean, x, time, torch.zeros(1), *clues)
-                free = network.flow(0 * conditions, shares, 0 * mean, x, time, torch.zeros(1), *clues)
+                given = network.flow(conditions, shares, mean, x, time, moment(time, 0), *clues)
+                free = network.flow(0 * conditions, shares, 0 * mean, x, time, moment(time, 0), *clues)
                 velocity = free + 1.7 * (given - free)
             x = x + velocity / steps
         torch.testing.assert_close(
@@ -165,7 +174,9 @@ def test_a_flow_adds_to_the_mean():
     mean, noisy = torch.randn(2, 4, 4, 8), torch.randn(2, 4, 4, 8)
     time = torch.tensor([0.25, 1.0])
     with torch.inference_mode():
-        made = network(torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, time, *Clues.empty(noisy))
+        made = network(
+            torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, torch.zeros(2, 128), *Clues.empty(noisy)
+        )
     torch.testing.assert_close(made, mean + noisy - torch.stack([mean[0] / 4, mean[1]]))
 
 

@@ -66,7 +66,7 @@ SIGNATURES: dict[str, Signature] = {
             "mean": "the mean's output",
             "noisy": "noise at first, then latents on their way (step 6)",
             "time": "how much of the way is gone, in [0, 1]",
-            "step": "length of the step from there, in [0, 1]",
+            "moment": "sines and cosines of time, then of the length of the step (step 6)",
             "photograph": "latents that are known and, last, 1 where they are; else 0 (step 6)",
             "style": "means and deviations of the known latents, and 1; 0 if none are",
         },

@@ -263,7 +263,7 @@ class FlowNetwork(nn.Module):
         mean: Tensor,
         noisy: Tensor,
         time: Tensor,
-        step: Tensor,
+        moment: Tensor,
         photograph: Tensor,
         style: Tensor,
     ) -> Tensor:
@@ -271,11 +271,12 @@ class FlowNetwork(nn.Module):
 
         conditions, shares  as of MeanNetwork;  mean: its output, (B, latents, h, w).
         noisy       (B, latents, h, w) = (1 - time) noise + time latents.
-        time, step  (B,) in [0, 1]. A step of 0 asks for the instant velocity, another for the mean velocity over it.
+        time        (B,) in [0, 1];  moment: (B, 4 WAVES), `moment_of` time and step. Engines compute in half precision,
+                    in which sines of large angles are lost.
         photograph  (B, latents + 1, h, w): latents of a photograph, then 1; 0 in all other places.
         style       (B, 2 latents + 1): `style_of` a photograph in all directions, 0 without one.
         """
-        code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1)) + self.style(style)
+        code = shares @ self.look_codes + self.time(moment) + self.style(style)
         mean = mean.to(noisy.dtype)
         remainder = noisy - time[:, None, None, None].to(noisy.dtype) * mean
         return mean + self.unet(conditions, code, torch.cat([remainder, mean, photograph.to(noisy.dtype)], 1))
@@ -387,12 +388,13 @@ class LatentPainter(LookPainter):
     ) -> tuple[Tensor, Tensor]:
         """Return the mean and the velocity, (B, latents, h, w) each, of normalised latents.
 
-        conditions, shares, noisy, time, step, photograph, style  as of FlowNetwork.
+        conditions, shares, noisy, time, photograph, style  as of FlowNetwork.
+        step        (B,) in [0, 1]: of 0 it asks for the instant velocity, else for the mean velocity over it.
         kept        (B,) 1, or 0: the flow is given neither conditions nor mean. No gradient passes from it to the mean.
         """
         mean = self.mean(conditions, shares)
-        kept = kept[:, None, None, None]
-        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step, photograph, style)
+        kept, moment = kept[:, None, None, None], moment_of(time, step)
+        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, moment, photograph, style)
 
     def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor, clues: Clues | None = None) -> Tensor:
         """Return normalised latents (B, latents, h, w) float32 from noise of that shape; arguments of MeanNetwork."""
@@ -402,7 +404,7 @@ class LatentPainter(LookPainter):
         for number in range(self.steps):
             time = step * number
             if self.steps in LEARNED_STEPS:
-                velocity = self.flow(conditions, shares, mean, x, time, step, *clues)
+                velocity = self.flow(conditions, shares, mean, x, time, moment_of(time, step), *clues)
             else:
                 velocity = self._guided(conditions, shares, mean, x, time, clues)
             x = x + velocity.float() / self.steps
@@ -413,9 +415,10 @@ class LatentPainter(LookPainter):
     ) -> Tensor:
         """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
         scene = (torch.cat([part, 0 * part]) for part in (conditions, mean))
-        state = (torch.cat([part, part]) for part in (shares, noisy, time, 0 * time, *clues))
-        (conditions, mean), (shares, noisy, time, step, *twice) = scene, state
-        conditioned, free = self.flow(conditions, shares, mean, noisy, time, step, *twice).chunk(2)
+        state = (torch.cat([part, part]) for part in (shares, noisy, time, *clues))
+        (conditions, mean), (shares, noisy, time, *twice) = scene, state
+        moment = moment_of(time, 0 * time)
+        conditioned, free = self.flow(conditions, shares, mean, noisy, time, moment, *twice).chunk(2)
         return torch.lerp(free, conditioned, self.guidance)
 
     def paint(self, past: None, scene: Scene, look: str = "") -> tuple[None, Tensor]:  # noqa: ARG002 it needs no past
@@ -434,6 +437,11 @@ class LatentPainter(LookPainter):
         latents = self.decoder.normalised(self.encoder(picture * shown[:, None]).float())
         unknown = max_pool2d(pad_azimuth(max_pool2d((~shown)[:, None].float(), FACTOR), 1), 3, 1, (1, 0))
         return Clues.of(latents, unknown[:, 0] == 0)
+
+
+def moment_of(time: Tensor, step: Tensor) -> Tensor:
+    """Return the embedding (B, 4 WAVES) of times and lengths of steps (B,)."""
+    return torch.cat([waves(time), waves(step)], 1)
 
 
 def waves(time: Tensor) -> Tensor:
