@@ -245,7 +245,7 @@ class LatentFrames:
     def _labelled(self, frame: Frame, camera: str) -> dict[str, Tensor]:
         """Make the sector of a photograph without a scan: labelled classes are sure, unknown ones no class at all."""
         view, picture, coverage = self._pictured(frame, camera)
-        _, calibration, _ = photographed(frame, camera)
+        _, calibration, _ = calibrated_image(frame, camera)
         (labels,) = frame.require("camera_labels")
         ids = camera_in_panorama(view, calibration).nearest(torch.from_numpy(CITYSCAPES_TO_COMMON15[labels]), IGNORE)
         classes = torch.arange(len(COMMON15))[:, None, None]
@@ -264,7 +264,7 @@ class LatentFrames:
             truth = panorama_on(frame, view.scaled(2), camera_labels=True)
             picture = torch.from_numpy(truth.image).movedim(2, 0)
             return replace(view, origin=truth.view.origin), picture, torch.from_numpy(truth.valid)
-        image, calibration, ego_mask = photographed(frame, camera)
+        image, calibration, ego_mask = calibrated_image(frame, camera)
         sector = sector_around(at_camera(view, calibration), calibration)
         look_up = camera_in_panorama(sector.scaled(2), calibration)
         picture = look_up.linear(torch.from_numpy(image).movedim(2, 0).float()).round().byte()
@@ -305,7 +305,7 @@ def is_rectified(frame: Frame, camera: str) -> bool:
     return not isinstance(frame, SurroundFrame) or isinstance(frame.cameras[camera].calibration, Calibration)
 
 
-def photographed(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np.ndarray | None]:
+def calibrated_image(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np.ndarray | None]:
     """Return a camera's image (h, w, 3) uint8, its calibration, and its vehicle's pixels, (h, w) bool, or None."""
     if isinstance(frame, LabelledImage):
         (image,) = frame.require("image")
