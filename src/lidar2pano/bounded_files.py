@@ -32,9 +32,10 @@ def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a FIFO without a writer would wait for one
 
 
-def check_regular(path: str | Path) -> None:
-    """Raise OSError unless `path` can be opened as a regular file: for libraries that open files by name."""
-    open_regular(path).close()
+def name_of_open(file: io.FileIO) -> str:
+    """Return a name by which a library opens the same file again: on Linux, whatever has taken its place meanwhile."""
+    name = Path(f"/proc/self/fd/{file.fileno()}")
+    return str(name if name.exists() else file.name)
 
 
 def sha256_of(path: str | Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,26 @@ def test_every_form_gives_its_points_in_blocks(tmp_path, monkeypatch, name):
     inside = np.linalg.norm(xyz - ORIGIN, axis=1) <= 20
     assert block and near.following() is None and len(block.xyz) == pytest.approx(inside.sum(), abs=2)
     np.testing.assert_allclose((block.low, block.high), (xyz.min(0), xyz.max(0)), atol=2e-3)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="elsewhere pye57 opens the map by its path")
+def test_a_map_is_the_file_whose_xml_was_checked(tmp_path, monkeypatch):
+    pye57 = pytest.importorskip("pye57", reason="the extra 'formats', where pye57 installs")
+    xyz = np.random.default_rng(0).uniform(-40, 40, (300, 3))
+    e57(path := tmp_path / "a.e57", xyz)
+    opened = pye57.E57
+
+    def replace_and_open(name: str) -> object:
+        path.unlink()
+        os.mkfifo(path)  # who opened this one would wait for ever
+        descriptor = os.open(path, os.O_RDWR)  # fails the test instead
+        try:
+            return opened(name)
+        finally:
+            os.close(descriptor)
+
+    monkeypatch.setattr(pye57, "E57", replace_and_open)
+    assert sum(len(cloud.xyz) for cloud in map_blocks.map_blocks(path)) == 300
 
 
 @pytest.mark.parametrize("name", ["a.las", "a.laz", "a.e57", "text.ply", "binary.pcd", "text.pcd"])

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import gzip
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from recording_targets import seeds
 
+import miniature_recordings as recordings
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.recorded_scans import read, recording_reader
+from lidar2pano.scan import Scan
 from sample_files import every_format, street
 
 RECORDINGS = ("bag.bag", "bag-bz2.bag", "db3.db3", "mcap.mcap", "mcap-plain.mcap", "capture.pcap", "ouster.osf")
@@ -50,6 +55,20 @@ def text(path: Path) -> None:
 def cut(path: Path) -> None:
     """The file loses its second half: it would end a process that has it mapped."""
     os.truncate(path, path.stat().st_size // 2)
+
+
+def fifo(path: Path) -> None:
+    """A FIFO without a writer takes its place: who opened it like a file would wait for ever."""
+    path.unlink()
+    os.mkfifo(path)
+
+
+class Blocked(BaseException):
+    """Something waits; no reader may take it for damage."""
+
+
+def _blocked(*_: object) -> None:
+    raise Blocked
 
 
 @contextmanager
@@ -95,11 +114,21 @@ def contents(tmp_path_factory):
     return recordings | {PACKED: gzip.compress(recordings["bag.bag"], mtime=0)} | SCANS
 
 
-@pytest.mark.parametrize("change", [other_recording, text, cut, Path.unlink])
+@pytest.fixture(autouse=True)
+def _no_waiting():
+    before = signal.signal(signal.SIGALRM, _blocked)
+    signal.setitimer(signal.ITIMER_REAL, 120)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("change", [other_recording, text, cut, fifo, Path.unlink])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_file_that_changes_is_refused_or_read(tmp_path, contents, name, change):
     path = tmp_path / name
     for opening in count(1):
+        path.unlink(missing_ok=True)
         path.write_bytes(contents[name])
         path.with_name("other").write_bytes(contents["mcap.mcap" if name != "mcap.mcap" else "bag.bag"])
         with changed(path, opening, change) as reached:
@@ -114,3 +143,38 @@ def test_a_recording_that_is_cut_between_two_scans_is_refused_or_read(tmp_path, 
     path = tmp_path / name
     path.write_bytes(contents[name])
     read_whole(path, lambda: cut(path))
+
+
+@pytest.mark.parametrize("ending", [".yaml", ".db3"])
+def test_a_fifo_in_a_recordings_folder_is_refused_or_read(tmp_path, ending):
+    scan = Scan(xyz=np.ones((100, 3), np.float32), remission=np.ones(100, np.float32))
+    for opening in count(1):
+        folder = recordings.write(tmp_path, "folder", [recordings.points(scan, recordings.START_NS)], stem=f"{opening}")
+        (file,) = folder.glob(f"*{ending}")
+        with changed(file, opening, fifo) as reached:
+            read_whole(folder)
+        if not reached():
+            break
+    assert opening > 1
+
+
+def test_a_fifo_that_sqlite_would_open_blocks_nothing(tmp_path, contents, monkeypatch):
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    path = tmp_path / "db3.db3"
+    path.write_bytes(contents["db3.db3"])
+    opened = Sqlite3Reader.open
+
+    def replace_and_open(reader: Sqlite3Reader) -> None:
+        fifo(path)
+        opened(reader)
+
+    monkeypatch.setattr(Sqlite3Reader, "open", replace_and_open)
+    said: list[str] = []
+    reading = threading.Thread(target=lambda: said.append(read_whole(path)), daemon=True)
+    reading.start()
+    reading.join(20)
+    waits = reading.is_alive()
+    if waits:
+        os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))  # a writer ends the waiting
+    assert not waits and "device, FIFO or socket" in said[0]

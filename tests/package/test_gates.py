@@ -29,7 +29,7 @@ OPENS: dict[str, tuple[set[str], str]] = {
     "metrics/accumulation.py": ({"load"}, "arrays of our own in a temporary folder"),
     "data/nuscenes_tables.py": ({"open", "load"}, "np.load of an open file; an unfinished file of our own"),
     "formats/torch_files.py": ({"load"}, "torch.load of an open file"),
-    "recordings/ros_bags.py": ({"open"}, "rosbags' readers, after the gate has looked at the files"),
+    "recordings/ros_bags.py": ({"open"}, "a reader's own `open`; rosbags opens by the gate"),
     "recordings/recorded_scans.py": ({"open"}, "a reader's own `open`"),
     "recordings/playback.py": ({"open"}, "a reader's own `open`"),
     "recordings/recorded_images.py": ({"open"}, "a reader's own `open`"),

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from lidar2pano.bounded_files import open_regular
+from lidar2pano.bounded_files import name_of_open, open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
@@ -61,9 +61,9 @@ def blocks_of(path: Path) -> Iterator[dict[str, np.ndarray]]:
     """Yield the fields of BLOCK_POINTS points at a time of all scans, in the frame of the file; errors as `decode`."""
     pye57 = _library(path)
     try:
-        with io.BufferedReader(open_regular(path)) as content:
+        with open_regular(path) as content:
             _check_xml(content, path)
-        file = pye57.E57(str(path))
+            file = pye57.E57(name_of_open(content))
         for number in range(file.scan_count):
             header = file.get_header(number)
             names = [name for name in header.point_fields if name.startswith((*FORMS, "intensity"))]

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypedDict
 
-from lidar2pano.bounded_files import check_regular
+from lidar2pano.bounded_files import name_of_open, open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_text, write_whole
 from lidar2pano.formats.json_files import front_matter
@@ -213,5 +213,5 @@ def _licences(files: Mapping[str, Path]) -> Iterator[tuple[str, Path]]:
 
 
 def _copy(source: Path, target: Path) -> None:
-    check_regular(source)
-    shutil.copyfile(source, target)
+    with open_regular(source) as file:
+        shutil.copyfile(name_of_open(file), target)

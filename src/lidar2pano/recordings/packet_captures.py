@@ -80,7 +80,8 @@ class PacketCapture:
         """Return the configuration, with the model and calibration if an HDL-64E sends them."""
         configuration = velodyne_decoder.Config()
         if _magic(self.path) != PCAPNG:
-            model, calibration = velodyne_decoder.hdl64e.detect_hdl64e(self.path)
+            with io.BufferedReader(open_regular(self.path)) as file:
+                model, calibration = velodyne_decoder.hdl64e.detect_hdl64e(file)
             if model is not None:
                 configuration.model, configuration.calibration = model, calibration
         return configuration

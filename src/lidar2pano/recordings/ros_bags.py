@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import bz2
 import contextlib
+import io
+import os
 import struct
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 import numpy as np
 
-from lidar2pano.bounded_files import check_regular, open_regular
+from lidar2pano.bounded_files import open_regular, read_text
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.description import (
     CDR,
@@ -33,6 +36,35 @@ METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # 2,000 topics or files
 STEPS, STEPS_AT_ONCE = 10_000_000, 100_000  # of SQLite's virtual machine: of a statement, and between two looks at them
 ROSBAG, SQLITE = b"#ROSBAG V2.0", b"SQLite format 3\0"
+_sqlite = threading.Lock()  # rosbags and apsw keep settings of the next opening for the whole process
+
+
+class RegularPath:
+    """A path of rosbags' protocol RPath: it opens regular files alone, so that nothing in their place can block it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.stem, self.suffix = path, path.stem, path.suffix
+        self.exists, self.is_dir, self.stat = path.exists, path.is_dir, path.stat
+
+    def open(self, _mode: str = "rb") -> BinaryIO:
+        """Open it to read bytes; OSError for a folder, device, FIFO or socket."""
+        return io.BufferedReader(open_regular(self.path))
+
+    def read_text(self, encoding: str | None = None) -> str:  # noqa: ARG002  it is UTF-8
+        """Read the text of metadata; OSError as `open`, and for more than MOST_METADATA_BYTES."""
+        return read_text(self.path, MOST_METADATA_BYTES)
+
+    def __truediv__(self, key: str | os.PathLike[str]) -> RegularPath:
+        """Return the path of a file in it."""
+        return RegularPath(self.path / key)
+
+    def __fspath__(self) -> str:
+        """Return the path itself."""
+        return str(self.path)
+
+    def __str__(self) -> str:
+        """Return the path as SQLite's addresses need it."""
+        return quote(os.fsencode(self.path.absolute()))
 
 
 class RosBag:
@@ -129,7 +161,7 @@ def _open_ros1(path: Path) -> Any:  # noqa: ANN401
     from rosbags.rosbag1.reader import decompressors
 
     bounded = {decompressors["bz2"]: _unpack_bz2, decompressors["lz4"]: _unpack_lz4}
-    reader = Reader(path)
+    reader = Reader(RegularPath(path))
     reader.open()
     for position, chunk in reader.chunks.items():
         if chunk.datasize > MOST_CHUNK_BYTES:
@@ -159,7 +191,7 @@ def _whole(decompressor: Any, data: bytes) -> bytes:  # noqa: ANN401
 def _open_sqlite(path: Path) -> Any:  # noqa: ANN401
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    reader = Sqlite3Reader(Path(quote(str(path.absolute()))))  # it becomes a URI
+    reader = Sqlite3Reader(RegularPath(path))
     with _bounded_sqlite(path.stat().st_size):
         reader.open()
     return reader
@@ -195,11 +227,12 @@ def _bounded_sqlite(size: int) -> Iterator[None]:
         connection.set_progress_handler(stop, STEPS_AT_ONCE)
         connection.set_authorizer(lambda action, *_: apsw.SQLITE_OK if action in actions else apsw.SQLITE_DENY)
 
-    apsw.connection_hooks.append(bound)
-    try:
-        yield
-    finally:
-        apsw.connection_hooks.remove(bound)
+    with _sqlite:
+        apsw.connection_hooks.append(bound)
+        try:
+            yield
+        finally:
+            apsw.connection_hooks.remove(bound)
 
 
 def _check_sqlite(path: Path) -> None:
@@ -220,12 +253,9 @@ def _check_sqlite(path: Path) -> None:
 def _open_folder(path: Path) -> Any:  # noqa: ANN401
     from rosbags.rosbag2 import Reader
 
-    for file in sorted(path.iterdir()):
-        if not file.is_dir():
-            check_regular(file)
     if (path / METADATA).stat().st_size > MOST_METADATA_BYTES:
         raise InputError(f"{path / METADATA}: has more than {MOST_METADATA_BYTES} bytes; try `ros2 bag reindex`")
-    reader = Reader(path)
+    reader = Reader(RegularPath(path))
     size = sum(file.stat().st_size for file in path.iterdir())
     with _bounded_sqlite(size), contextlib.ExitStack() as stack:
         stack.enter_context(reader)
