@@ -14,6 +14,8 @@ from lidar2pano.cli.options import ForwardOption, HeightOption, RemissionOption
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from lidar2pano.formats.interpretation import Interpretation, Overrides
     from lidar2pano.scan import Scan
 
@@ -94,14 +96,9 @@ def lines_of_recording(record: dict[str, Any]) -> list[str]:
 
 def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
     """Describe how a scan was read, and its contents: ranges, beams, sensor."""
-    import numpy as np
-
     from lidar2pano.formats.beams import find_beams
     from lidar2pano.formats.plausibility import narrow_view
 
-    with np.errstate(invalid="ignore"):
-        range_m = np.sqrt(np.einsum("ij,ij->i", scan.xyz, scan.xyz, dtype=np.float64))  # no copy of all points
-    range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
     beams = find_beams(scan.xyz, scan.ring)
     reading = interpretation.as_dict()
     reading["gaps_deg"], _ = [list(gap) for gap in interpretation.gaps_deg], reading.pop("invented")
@@ -109,7 +106,7 @@ def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
         reading["doubts"] = [*interpretation.doubts, narrow]  # an error of translate
     return {
         **reading,
-        "ranges_m": [round(float(value), 2) for value in np.percentile(range_m, (0, 50, 100))] if len(range_m) else [],
+        "ranges_m": ranges_m(scan.xyz),
         "times_s": [round(float(edge), 6) for edge in (scan.time_s.min(), scan.time_s.max())]
         if scan.time_s is not None and len(scan.time_s)
         else [],
@@ -118,6 +115,16 @@ def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
         "elevations_deg": [round(value, 2) for value in beams.elevations_deg] if beams else [],
         "sensor": beams.sensor() if beams else "",
     }
+
+
+def ranges_m(xyz: np.ndarray) -> list[float]:
+    """Return the least, middle and largest range of points (N, 3); [] if there are none."""
+    import numpy as np
+
+    with np.errstate(invalid="ignore"):
+        squared = np.einsum("ij,ij->i", xyz, xyz, dtype=np.float64)  # no copy of all points
+    squared = squared[np.isfinite(squared) & (squared > 0)]
+    return [round(float(value), 2) for value in np.percentile(np.sqrt(squared), (0, 50, 100))] if len(squared) else []
 
 
 def lines_of(record: dict[str, Any]) -> list[str]:

@@ -22,6 +22,7 @@ SKY_DEG = 6.0  # or the highest with returns lies so far below, if a beam above 
 CONE_BIN_DEG, SMOOTH = 0.05, 31  # of the histogram of elevations, and of the smoothed one it is compared with
 MOST_DEG = 35.0
 SAMPLE = 15_000
+BLOCK = 1 << 17  # points at a time, so that copies stay small
 START_M, LAST_M = 0.5, 0.03  # steps of the search
 REACH_M = 3.0  # it goes no farther from the start
 CLEARLY = 1.1  # times as sharp as the start
@@ -81,24 +82,39 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(xyz, axis=1) > NEAR_M
     points = xyz[near]
-    x, y, z = points.T
-    if len(x) < FEWEST_POINTS * FEWEST:
+    if len(points) < FEWEST_POINTS * FEWEST:
         return None
-    elevation = np.degrees(np.arctan2(z, np.hypot(x, y, dtype=np.float64)))  # in float64 without a copy of all points
+    elevation = _elevations(points)
     if ring is not None:
         return _of_rings(elevation, ring[near], "ring")
-    azimuth = np.degrees(np.arctan2(y, x, dtype=np.float64))
-    turn = np.diff((azimuth - azimuth[0]) % 360)
-    wraps = np.abs(turn) > WRAP_DEG
-    wraps &= np.diff(np.flatnonzero(wraps), prepend=-len(wraps)).min(initial=len(wraps)) >= FEWEST_POINTS
-    if FEWEST <= wraps.sum() < MOST and (np.abs(turn[~wraps]) < ORDERED_DEG).mean() > ORDERED:
-        number = np.concatenate([[0], np.cumsum(wraps)])
-        width = [np.ptp(np.percentile(elevation[number == turn_number], (25, 75))) for turn_number in np.unique(number)]
+    if (number := _numbers_by_turn(points)) is not None:
+        width = [np.ptp(np.percentile(elevation[number == turn], (25, 75))) for turn in range(int(number[-1]) + 1)]
         if np.median(width) < WIDEST_DEG:
             return _of_rings(elevation, number, "file order")
     if sharpness(points, np.zeros(3)) < GATHERED:
         return None
     return _of_peaks(elevation)
+
+
+def _elevations(xyz: np.ndarray) -> np.ndarray:
+    """Return the elevations (N,) of points (N, 3) in degrees, float64, in the memory of the result alone."""
+    elevation = np.hypot(xyz[:, 0], xyz[:, 1], dtype=np.float64)
+    np.arctan2(xyz[:, 2], elevation, out=elevation)
+    return np.degrees(elevation, out=elevation)
+
+
+def _numbers_by_turn(xyz: np.ndarray) -> np.ndarray | None:
+    """Return the numbers (N,) of beams of a file that holds one beam after the other; None for another order."""
+    turn = np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0], dtype=np.float64))
+    turn -= turn[0]
+    turn %= 360
+    turn = np.diff(turn)
+    np.abs(turn, out=turn)
+    wraps = turn > WRAP_DEG
+    wraps &= np.diff(np.flatnonzero(wraps), prepend=-len(wraps)).min(initial=len(wraps)) >= FEWEST_POINTS
+    if not FEWEST <= wraps.sum() < MOST or (turn < ORDERED_DEG)[~wraps].mean() <= ORDERED:
+        return None
+    return np.cumsum(np.concatenate([[False], wraps]), dtype=np.int16)
 
 
 def _of_rings(elevation: np.ndarray, ring: np.ndarray, found_by: str) -> Beams | None:
@@ -123,9 +139,9 @@ def _of_peaks(elevation: np.ndarray) -> Beams | None:
 
 def sharpness(xyz: np.ndarray, origin: np.ndarray) -> float:
     """Return how much elevations of points (N, 3) from `origin` gather at few values; 1 for not at all."""
-    x, y, z = (xyz - origin).T
-    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
-    counts = np.histogram(elevation, np.arange(-MOST_DEG, MOST_DEG, CONE_BIN_DEG))[0].astype(np.float64)
+    edges = np.arange(-MOST_DEG, MOST_DEG, CONE_BIN_DEG)
+    blocks = (xyz[first : first + BLOCK] for first in range(0, len(xyz), BLOCK))
+    counts = sum((np.histogram(_elevations(block - origin), edges)[0] for block in blocks), np.zeros(len(edges) - 1))
     smooth = np.convolve(counts, np.ones(SMOOTH) / SMOOTH, "same")
     return float((counts @ counts) / max(counts @ smooth, 1.0))
 
