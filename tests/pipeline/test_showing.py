@@ -61,3 +61,11 @@ def test_open3d_gets_the_points_that_save_points_writes(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(InputError, match="pip install open3d"):
         panorama.to_open3d(SCAN)
+
+
+def test_open3d_itself_takes_them():
+    pytest.importorskip("open3d", reason="Open3D is no dependency: pip install open3d")
+    panorama = small_panorama(scan=SCAN)
+    cloud = panorama.to_open3d(SCAN)
+    np.testing.assert_allclose(np.asarray(cloud.points), SCAN.xyz, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(cloud.colors) * 255, panorama.colour_points(SCAN).colour, atol=0.01)
