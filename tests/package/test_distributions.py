@@ -12,6 +12,7 @@ from hatchling.builders.wheel import WheelBuilder
 
 import house_rules
 from installed_families import needs_streets
+from lidar2pano.models.card import read_card
 from lidar2pano.models.families import families
 
 STREETS = house_rules.ROOT / "packages" / "lidar2pano-streets"
@@ -63,6 +64,34 @@ def test_the_streets_are_weights_alone(wheels):
         "README.md",
         *(f"{role}.safetensors" for role in ("segmenter", "translator", "painter")),
     }
+
+
+CREDITS = {  # data that a card names -> whom its licence credits; a name says nothing about data of our own making
+    "kitti-mini": "KITTI Vision Benchmark Suite",
+    "kitti-more": "Vision meets Robotics",
+    "cityscapes": "M. Cordts",
+    "camvid": "G. J. Brostow",
+    "dgp": "TRI-ML/dgp",
+}
+SIMULATED = {
+    "autumn",
+    "centre",
+    "centre-scans",
+    "day",
+    "evening",
+    "lanes",
+    "overcast",
+    "pandar64-avenues",
+    "pandar64-day",
+}
+
+
+def test_the_licence_credits_all_data_of_the_cards():
+    named = {name for card in map(read_card, sorted(STREETS.rglob("*.safetensors"))) for name in card.data.split("+")}
+    licence = (STREETS / "src" / "lidar2pano_streets" / "LICENSE").read_text()
+    assert {"kitti-mini", "cityscapes"} <= named <= CREDITS.keys() | SIMULATED
+    assert [name for name in named - SIMULATED if CREDITS[name] not in licence] == []
+    assert "H. Caesar" in licence  # runs/stages/README.md: the autoencoder that the painter began from
 
 
 def test_both_have_one_version_and_the_second_needs_the_first(wheels):
