@@ -334,6 +334,13 @@ def measured_ms(row: str) -> float:
     return float(match[1])
 
 
+def measured_engine() -> str:
+    """Return the engine and the arithmetic of docs/results/times.txt, "torch in bfloat16"."""
+    head = (DOCS / "results" / "times.txt").read_text(encoding="utf-8").partition("\n")[0]
+    arithmetic = "bfloat16" if "bfloat16 True" in head else "float32"
+    return f"{head.partition('engine ')[2].partition(',')[0]} in {arithmetic}"
+
+
 FLEET_GPU = {
     "one H200, one process": 1000 / 131,
     "one GPU, the aim": 20.0,
@@ -353,7 +360,7 @@ def fleet() -> str:
     return f"""{table(head, rows)}
 
 The first row is half of two idle cores' rate ([Results](../../RESULTS.md): {whole_ms:.0f} ms for the whole panorama,
-by OpenVINO in bfloat16), the second is one [NVIDIA H200](engines.md#on-a-gpu) (131 ms, one scan after another, its PNG
+by {measured_engine()}), the second is one [NVIDIA H200](engines.md#on-a-gpu) (131 ms, one scan after another, its PNG
 included; `bulk` itself was not run there), the third the aim of the design.
 
 Cost of a million panoramas, at prices that you should replace by yours: {costs} per GPU and hour,

@@ -7,6 +7,7 @@ what the weights reach. Colours are compared as the mean of a class, so that the
 from __future__ import annotations
 
 import functools
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch.utils.flop_counter import FlopCounterMode
 
 import lidar2pano
 from installed_families import INSTALLED, needs_streets
@@ -152,6 +154,22 @@ def test_another_seed_is_another_picture_of_the_same_belief() -> None:
     one, other = (pipeline.in_variant(seed=seed)(lidar2pano.read(street())) for seed in (0, 1))
     assert np.abs(one.colour.astype(int) - other.colour).mean() > 2
     assert np.array_equal(one.segments, other.segments) and np.array_equal(one.depth_m, other.depth_m)
+
+
+@needs_streets
+def test_the_fleets_page_has_the_sizes_and_operations_of_a_panorama(tmp_path) -> None:
+    pytest.importorskip("isal", reason="the extra 'fast': PNGs have its sizes")
+    page = (FOLDER.parents[1] / "docs" / "guides" / "bulk.md").read_text(encoding="utf-8")
+    with FlopCounterMode(display=False) as counter:
+        panorama = lidar2pano.load("kitti-mini", "cpu", "torch")(lidar2pano.read(street()))
+    convolutions = sum(count for name, count in counter.get_flop_counts()["Global"].items() if "conv" in str(name))
+    panorama.save(tmp_path, what=("rgb", "depth", "segments"))
+    measured = {r"takes (\d+) GFLOP": convolutions / 1e9} | {
+        rf"{title}, PNG \| ([\d,]+) \|": (tmp_path / f"street{ending}").stat().st_size
+        for title, ending in (("colours", ".png"), ("depth", ".depth.png"), ("classes", ".segments.png"))
+    }
+    said = {pattern: float(re.search(pattern, page)[1].replace(",", "")) for pattern in measured}
+    assert said == pytest.approx(measured, rel=0.05)
 
 
 def test_roads_lie_and_walls_stand(seen: tuple[str, Scene, lidar2pano.Panorama]) -> None:
