@@ -577,6 +577,30 @@ def test_sigterm_ends_a_command_whose_libraries_take_long_to_leave(words):
     assert not Path(folder).exists() and not Path(f"/proc/{child}").exists()
 
 
+PAUSED = """
+import signal, sys, threading
+from lidar2pano.cli import main
+
+def pause():
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    print("ready", flush=True)
+    stop.wait()
+    raise KeyboardInterrupt("paused at step 3")
+
+sys.argv[1:] = ["--version"]
+sys.modules["lidar2pano.cli.app"].make_program = lambda: type("Command", (), {"make_context": lambda *_: pause()})()
+sys.exit(main())
+"""
+
+
+def test_sigterm_that_pauses_a_training_is_no_ctrl_c():
+    with subprocess.Popen([sys.executable, "-c", PAUSED], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=60)[1] == b"lidar2pano: paused at step 3\n" and process.returncode == 143
+
+
 AFTERWARDS = """
 import signal, sys, time
 from lidar2pano.cli import main

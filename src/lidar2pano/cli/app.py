@@ -200,7 +200,7 @@ def _ended_in_time() -> Iterator[Callable[[int], int]]:
         deadline.asked.wait()
         if deadline.signalled or code == TERMINATED:  # a library may have listened in our place
             atexit._run_exitfuncs()  # children end, temporary folders go
-            os._exit(code)
+            os._exit(TERMINATED if code == INTERRUPTED else code)  # `train` pauses alike for both signals
         return code
 
     try:
