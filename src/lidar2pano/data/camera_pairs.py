@@ -133,7 +133,7 @@ class FrontViewDataset:
             lidar=self.normalise(range_image),
             segments=segments,
             camera_labels=pair.camera_labels.long(),
-            image=in_unit(pair.image),
+            image=in_unit(pair.image) if self.parts.image else torch.zeros(3, 0, 0),
             depth_m=pair.depth_m,
             name=name,
         )
