@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -76,20 +76,9 @@ def nbytes(value: object) -> int:
     return 0
 
 
-class Predictions(Protocol):
-    """A segmenter's labels of scans."""
-
-    def of(self, frame: Frame) -> np.ndarray:
-        """Return (N,) int64 ids of SEMANTIC_KITTI of the points of a frame's scan."""
-        ...
-
-
-class StoredPredictions:
-    """Labels by `prepare --labels-folder predicted_labels`."""
-
-    def of(self, frame: Frame) -> np.ndarray:
-        """Return (N,) int64 ids of the points of a frame's scan; InputError if the file is missing."""
-        return frame.require("predicted_labels")[0]
+def stored_labels(frame: Frame) -> np.ndarray:
+    """Return labels (N,) int64 by `prepare --labels-folder predicted_labels`; InputError if the file is missing."""
+    return frame.require("predicted_labels")[0]
 
 
 class PredictedLabels:

@@ -18,7 +18,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
+from lidar2pano.data.cache import LruCache, PredictedLabels
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.geometry.camera import project_to_camera
@@ -90,7 +90,8 @@ class FrontViewDataset:
         self.frames = frames_of(root, splits)
         self.view, self.size, self.parts = view, size, parts or SampleParts()
         self.normalise = Normalisation()
-        self.predicted: Predictions | None = None
+        self.predicted: PredictedLabels | None = None
+        self._labels: Callable[[Frame], np.ndarray] | None = None
         self._cache = LruCache()
 
     def __len__(self) -> int:
@@ -106,11 +107,12 @@ class FrontViewDataset:
 
         weights  the segmenter's file: predictions are made once and kept on disk (PredictedLabels).
         """
-        self.use(PredictedLabels(label_points, weights))
+        self.predicted = PredictedLabels(label_points, weights)
+        self.use(self.predicted.of)
 
-    def use(self, predicted: Predictions) -> None:
-        """Use these predicted labels of the scans instead of the data's."""
-        self.predicted, self._cache = predicted, LruCache()
+    def use(self, labels: Callable[[Frame], np.ndarray]) -> None:
+        """Use these labels of the scans instead of the data's; labels: frame -> (N,) int64 ids of SEMANTIC_KITTI."""
+        self._labels, self._cache = labels, LruCache()
 
     def __getitem__(self, index: SampleIndex | int) -> FrontViewSample:
         """Return a sample: with the paper's flip and point drop (each p = 0.5) by a seed, or plain for an int."""
@@ -142,7 +144,7 @@ class FrontViewDataset:
         scan, camera_labels = frame.scan, torch.zeros(0, 0, dtype=torch.uint8)
         image, depth_m = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0)
         if self.parts.labels:
-            scan = frame.labelled_scan() if self.predicted is None else replace(scan, label=self.predicted.of(frame))
+            scan = frame.labelled_scan() if self._labels is None else replace(scan, label=self._labels(frame))
             ids = torch.from_numpy(CITYSCAPES_TO_COMMON14[frame.require("camera_labels")[0]])[None, None]
             camera_labels = interpolate(ids, size=self.size, mode="nearest-exact")[0, 0]
         if self.parts.image:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import l1_loss, mse_loss, nll_loss
 
-from lidar2pano.data.cache import PredictedLabels, Predictions, StoredPredictions
+from lidar2pano.data.cache import stored_labels
 from lidar2pano.data.camera_pairs import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.geometry.projection import one_hot_layers
@@ -155,14 +155,12 @@ def use_predictions(
 ) -> None:
     """Condition data sets on a segmenter's labels, by the options; InputError when there are none."""
     chosen = (training, validation) if options.segments == "predicted" else (validation,)
-    if options.segmenter:
-        predicted: Predictions = PredictedLabels(load_segmenter(options.segmenter), options.segmenter)
-    elif options.segments == "predicted":
-        predicted = StoredPredictions()
-    else:
-        return
+    label_points = load_segmenter(options.segmenter) if options.segmenter else None
     for samples in chosen:
-        samples.use(predicted)
+        if label_points:
+            samples.predict(label_points, options.segmenter)
+        elif options.segments == "predicted":
+            samples.use(stored_labels)
 
 
 def pix2pix_losses(options: Pix2PixOptions, real: Tensor) -> tuple[str, Callable[[Tensor], Tensor]]:
