@@ -138,7 +138,9 @@ def test_labels_that_a_teacher_wrote_are_flagged(data, random_weights, capsys):
     lines = []
     for number, path in enumerate(labels):
         stamp = {"sha256": "", "size": path.stat().st_size, "changed_ns": path.stat().st_mtime_ns + (number == 1)}
-        lines.append(json.dumps({"file": f"labels/{path.name}", "made_by": "0123456789", "stamp": stamp}))
+        lines.append(
+            json.dumps({"file": f"labels/{path.name}", "made_by": "0123456789", "source": stamp, "stamp": stamp})
+        )
     (folder / "prepared.jsonl").write_text("\n".join(["torn {", *lines]))
     assert run(data, random_weights, "--metrics", "points") == 0
     said = f"Pseudo-labels of networks, not ground truth: point labels of {len(labels) - 1} frames by 01234567."

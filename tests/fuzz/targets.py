@@ -27,6 +27,7 @@ from lidar2pano.calibration import read_calib
 from lidar2pano.cli import options
 from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
 from lidar2pano.data.camera_files import read_camera_calibration
+from lidar2pano.data.journal import Journal, Record, Stamp
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
@@ -38,7 +39,6 @@ from lidar2pano.formats.readers import READERS
 from lidar2pano.formats.scan_files import read_label
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.models.card import Card, read_card
-from lidar2pano.prepare.journal import Journal, Record, Stamp
 from lidar2pano.reproduce.run import budget
 from lidar2pano.simulate.settings import WorldSettings, claim_folder, panorama_view
 from lidar2pano.train.checkpoint import Progress, check_recipe

@@ -20,6 +20,7 @@ from PIL import Image
 
 from lidar2pano.cli import main
 from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.journal import NAME, Journal, Record
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats import image_files
@@ -32,7 +33,6 @@ from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisatio
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.pipeline import Segmenter, load_segmenter
 from lidar2pano.prepare import State, camera_teacher, frames_to_label, label, lidar_teacher
-from lidar2pano.prepare.journal import NAME, Journal, Record
 from random_weights import street, write_segmenter
 
 SIZE = (60, 44)

@@ -6,22 +6,20 @@ static things: the side of a passing bus keeps its depth, but not the flow of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import astuple, replace
 from functools import lru_cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.bounded_files import MOST_TEXT_BYTES, read_bytes
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, PanoramaGroundTruth
+from lidar2pano.data.journal import Journal
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.evaluate.panorama_system import SAME_PLACE_M
-from lidar2pano.formats.json_files import json_lines
 from lidar2pano.geometry.camera import Lookup, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.geometry.projection import directions, pixels
@@ -37,7 +35,6 @@ SKY = COMMON15.id_of("sky")
 WINDOWS = 4  # a quarter of KITTI's panorama has about the shape of the camera's image
 GREY = 128  # of unknown pixels, on both sides
 ZERO = (0.0, 0.0, 0.0)
-JOURNAL = "prepared.jsonl"  # of a sequence's folder: a line of JSON per file of `lidar2pano prepare`
 PARTS = {"point labels": ("labels", ".label"), "camera labels": ("camera_labels", ".png")}
 
 
@@ -202,23 +199,15 @@ def pseudo_labels(frame: Frame) -> dict[str, str]:
     """
     if not isinstance(frame, SemanticKittiFrame):
         return {}
-    teachers, journal = {}, _journal(frame.folder / JOURNAL)
+    teachers, journal = {}, _journal(frame.folder)
     for part, (folder, suffix) in PARTS.items():
         path = frame.file(folder, suffix)
-        stamp, teacher = journal.get(f"{folder}/{path.name}", (None, ""))
-        if stamp and path.is_file() and stamp == [path.stat().st_size, path.stat().st_mtime_ns]:
-            teachers[part] = teacher
+        record = next(iter(journal.of(f"{folder}/{path.name}")), None)
+        if record and path.is_file():
+            status = path.stat()
+            if (status.st_size, status.st_mtime_ns) == (record.stamp.size, record.stamp.changed_ns):
+                teachers[part] = record.made_by
     return teachers
 
 
-@lru_cache(maxsize=1)
-def _journal(path: Path) -> Mapping[str, tuple[list[Any], str]]:
-    """Return file -> its latest [size, modification time in ns], and the teacher; damaged lines are skipped."""
-    entries: dict[str, tuple[list[Any], str]] = {}
-    for entry in json_lines(read_bytes(path, MOST_TEXT_BYTES)) if path.is_file() else ():
-        try:
-            stamp = [entry["stamp"][name] for name in ("size", "changed_ns")]
-            entries[entry["file"]] = (stamp, str(entry["made_by"]))
-        except (ValueError, TypeError, KeyError):
-            continue
-    return entries
+_journal = lru_cache(maxsize=1)(Journal)

@@ -10,11 +10,11 @@ from functools import partial
 from pathlib import Path
 
 from lidar2pano.data.frames import FrameList, stems
+from lidar2pano.data.journal import Journal, Record, Stamp, stamp_of
 from lidar2pano.data.semantic_kitti import SEQUENCES, SemanticKittiFrame, frames, open_frame, sequences_of
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.name_order import sort_names
-from lidar2pano.prepare.journal import Journal, Record, Stamp, stamp_of
 from lidar2pano.prepare.teachers import Teacher
 
 

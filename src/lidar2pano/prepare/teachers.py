@@ -5,16 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 
 from lidar2pano.bounded_files import read_input
 from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.journal import stamp_of
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image, write_ids
@@ -32,71 +34,69 @@ from lidar2pano.models.card import load, read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.models.sdnet import falling
 from lidar2pano.pipeline import Segmenter, load_segmenter
-from lidar2pano.prepare.journal import stamp_of
 
 FORM = 1  # part of every teacher's name: raise it when the same weights give other labels, and all are made again
 PNG_END = b"IEND\xaeB`\x82"
 
 
-class Teacher(Protocol):
+@dataclass(kw_only=True)
+class Teacher(ABC):
     """A writer of one file per frame.
 
-    folder   folder of a sequence for the files;  suffix: their ending.
+    suffix   ending of the files;  folder: of a sequence, for them.
     made_by  hash of weights and settings: files of another one are made again.
-    weights  files of the network.
+    weights  files of the network;  device: torch's, or "auto".
     """
 
-    folder: str
-    suffix: str
-    made_by: str
-    weights: tuple[Path, ...]
-
-    def source(self, frame: SemanticKittiFrame) -> Path | None:
-        """Return the source of the labels, None if absent."""
-        ...
-
-    def get_ready(self) -> None:
-        """Load the network, once; InputError when its weights cannot be used."""
-        ...
-
-    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
-        """Write the labels of a frame to `path`; InputError when its scan or image cannot be used."""
-        ...
-
-    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
-        """Tell if `path` holds complete labels, of any origin."""
-        ...
-
-
-@dataclass(kw_only=True)
-class LidarTeacher:
-    """A range-view segmenter: scans -> raw ids of SemanticKITTI per point. Fields as in Teacher; device: torch's."""
-
+    suffix: ClassVar[str]
     folder: str
     made_by: str
     weights: tuple[Path, ...]
     device: str
-    suffix: str = ".label"
+
+    @abstractmethod
+    def source(self, frame: SemanticKittiFrame) -> Path | None:
+        """Return the source of the labels, None if absent."""
+
+    @cached_property
+    @abstractmethod
+    def network(self) -> Segmenter | CameraTeacher:
+        """The network, loaded; InputError when its weights cannot be used."""
+
+    @abstractmethod
+    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
+        """Write the labels of a frame to `path`; InputError when its scan or image cannot be used."""
+
+    @abstractmethod
+    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
+        """Tell if `path` holds complete labels, of any origin."""
+
+    def get_ready(self) -> None:
+        """Load the network, once."""
+        _ = self.network
+
+
+@dataclass(kw_only=True)
+class LidarTeacher(Teacher):
+    """A range-view segmenter: scans -> raw ids of SemanticKITTI per point."""
+
+    suffix = ".label"
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
         """The scan."""
         return frame.scan_file if os.path.lexists(frame.scan_file) else None
 
     @cached_property
-    def segmenter(self) -> Segmenter:
-        """The network, loaded."""
+    def network(self) -> Segmenter:
+        """See Teacher."""
         return load_segmenter(self.weights[0], pick_device(self.device))[0]
-
-    def get_ready(self) -> None:
-        """Load the network."""
-        _ = self.segmenter
 
     def write(self, frame: SemanticKittiFrame, path: Path) -> None:
         """Write raw ids (N,) uint32 in file order; a scan without a usable point raises InputError."""
         scan = frame.scan
         if not np.isfinite(scan.xyz).all(1).any():
             raise InputError(f"{frame.scan_file}: none of its {len(scan)} points can be used (NaN or Inf); replace it")
-        write_label(path, self.segmenter.points(scan, pick_device(self.device)).cpu().numpy())
+        write_label(path, self.network.points(scan, pick_device(self.device)).cpu().numpy())
 
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
         """Tell if there is one label per point: 4 bytes for a scan's 16."""
@@ -104,44 +104,36 @@ class LidarTeacher:
 
 
 @dataclass(kw_only=True)
-class ImageTeacher:
-    """A camera teacher: images -> Cityscapes train ids per pixel. Fields as in Teacher.
+class ImageTeacher(Teacher):
+    """A camera teacher: images -> Cityscapes train ids per pixel.
 
     spec             "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
     scales           of the labelled image; () for the network's own.
     min_probability  of the best class; a pixel below it becomes IGNORE.
     """
 
-    folder: str
-    made_by: str
-    weights: tuple[Path, ...]
-    device: str
+    suffix = ".png"
     spec: str
     scales: tuple[float, ...]
     min_probability: float
-    suffix: str = ".png"
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
         """The image."""
         return frame.image_file
 
     @cached_property
-    def teacher(self) -> CameraTeacher:
-        """The network, loaded."""
+    def network(self) -> CameraTeacher:
+        """See Teacher."""
         device = pick_device(self.device)
         if self.spec in MODEL_TYPES:
             return load_teacher(self.spec, self.weights[0], device, self.scales or (1.0,))
         network, card = load(self.weights[0], device, expect="sdnet")
         return CameraSegmenter.from_card(network, card, self.scales or None)
 
-    def get_ready(self) -> None:
-        """Load the network."""
-        _ = self.teacher
-
     def write(self, frame: SemanticKittiFrame, path: Path) -> None:
         """Write ids (h, w) uint8 as a PNG of grey values."""
         assert frame.image_file is not None
-        best, ids = self.teacher.probabilities(read_image(frame.image_file, "RGB")).max(0)
+        best, ids = self.network.probabilities(read_image(frame.image_file, "RGB")).max(0)
         ids[best < self.min_probability] = IGNORE
         write_ids(path, ids.cpu().numpy().astype(np.uint8))
 

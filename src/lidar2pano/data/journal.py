@@ -1,4 +1,4 @@
-"""The journal of a sequence: files written by prepare, their sources, and stamps to recognise them.
+"""The journal of a sequence: files written by `prepare`, their sources, and stamps to recognise them.
 
 One line of JSON per file written, appended before the file gets its name, so that a file of ours without its line
 cannot be, whatever ends the process. A torn or strange line is passed over: its file then counts as somebody
