@@ -23,7 +23,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.readers import open_path
 
 RECORDINGS = {".bag", ".db3", ".mcap", ".pcap", ".osf"}  # have pages of their own
 IGNORED = {".md", ".json"}
@@ -71,7 +71,7 @@ def theirs(path: Path) -> tuple[str, np.ndarray]:
 
 def ours(path: Path) -> PointCloud:
     """The cloud of a file."""
-    return next(open_path(path).clouds(path, ReadOptions()))
+    return open_path(path).cloud(path)
 
 
 def milliseconds(task: Callable[[], object]) -> float:

@@ -30,14 +30,14 @@ def write(path: Path, scans: int = 1) -> Path:
 
 
 def test_points_of_an_e57(tmp_path):
-    ((scan, found),) = interpreted(write(tmp_path / "a.e57"))
+    scan, found = interpreted(write(tmp_path / "a.e57"))
     np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-6)
     np.testing.assert_allclose(scan.remission, FORMS, atol=1e-6)
     assert found.format == "E57" and not found.doubts
 
 
 def test_the_first_of_several_scans_is_read_and_said(tmp_path):
-    ((scan, found),) = interpreted(write(tmp_path / "a.dat", scans=2))
+    scan, found = interpreted(write(tmp_path / "a.dat", scans=2))
     assert len(scan) == len(XYZ) and found.doubts == ("it holds 2 scans, of which the first is read",)
 
 

@@ -94,7 +94,7 @@ def test_ranges_and_angles_are_places(tmp_path, form, unit):
     else:
         table = np.column_stack([*columns, FORMS]).astype(np.float32)
         content = made.npy(table) if form == "npy" else table.tobytes()
-    ((scan, found),) = interpreted(made.write(tmp_path, f"a.{form}", content))
+    scan, found = interpreted(made.write(tmp_path, f"a.{form}", content))
     np.testing.assert_allclose(scan.xyz, XYZ, atol=2e-3)
     np.testing.assert_allclose(scan.remission, FORMS, atol=1e-3)
     assert any("azimuth is taken as counter-clockwise" in doubt for doubt in found.doubts)
@@ -120,4 +120,4 @@ def test_a_table_of_lists_is_named(tmp_path):
     parquet.write_table(table({"[LiDARComponent].range_image_return1.values": [[1.0, 2.0]]}), stream)
     path = made.write(tmp_path, "a.parquet", stream.getvalue().to_pybytes())
     with pytest.raises(InputError, match="has no columns of numbers, one a point; write x, y, z"):
-        next(interpreted(path))
+        interpreted(path)

@@ -55,7 +55,7 @@ def test_a_scan_has_arrays_of_its_own(columns):
 
 def test_every_scan_of_kitti_keeps_its_numbers(kitti_mini: Path):
     for file in sorted(kitti_mini.glob("sequences/*/velodyne/*.bin"))[::8]:
-        ((scan, found),) = interpreted(file)
+        scan, found = interpreted(file)
         values = np.fromfile(file, "<f4").reshape(-1, 4)
         assert scan.xyz.tobytes() == np.ascontiguousarray(values[:, :3]).tobytes(), file
         assert scan.remission.tobytes() == np.ascontiguousarray(values[:, 3]).tobytes(), file
@@ -327,7 +327,7 @@ def test_a_scan_takes_beams_and_times():
 
 def test_pandaset_has_y_forward(pandaset_mini: Path):
     for file in sorted(next(pandaset_mini.glob("sequences/*/velodyne")).iterdir())[:2]:
-        ((_, found),) = interpreted(file)
+        _, found = interpreted(file)
         assert found.forward == "y" and "vehicle's frame" in found.viewpoint_by
 
 

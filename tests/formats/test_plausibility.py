@@ -29,7 +29,7 @@ def doubts(xyz: np.ndarray, remission: np.ndarray = REMISSION, rows: bool = True
 
 def test_there_is_none_about_good_scans():
     assert doubts(XYZ) == ()
-    assert next(interpreted(demo.street()))[1].doubts == ()
+    assert interpreted(demo.street())[1].doubts == ()
 
 
 def test_what_did_not_return_is_no_doubt_where_a_format_marks_it():
@@ -114,7 +114,7 @@ def test_a_path_of_places_is_no_scan(path, tmp_path):
     assert is_path(path)
     np.column_stack([path, 0 * path[:, 0]]).astype("<f4").tofile(tmp_path / "a.bin")
     with pytest.raises(InputError, match=r"a.bin: its points follow each other along a line, as those of a traj"):
-        next(interpreted(tmp_path / "a.bin"))
+        interpreted(tmp_path / "a.bin")
 
 
 def room(order: str) -> np.ndarray:

@@ -21,7 +21,7 @@ from lidar2pano.formats import pcd
 from lidar2pano.formats.arrays import DATATYPES, cloud_of
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
-from lidar2pano.formats.readers import ReadOptions, open_path, read
+from lidar2pano.formats.readers import open_path, read
 
 XYZ, RING = made.street(beams=16, columns=180)
 INTENSITY = np.floor(made.remission(len(XYZ), 255))
@@ -32,8 +32,7 @@ MILLIMETRES = {"packed.laz", "plain.las"}
 
 def cloud(path: Path) -> PointCloud:
     """The cloud of a file."""
-    (found,) = open_path(path).clouds(path, ReadOptions())
-    return found
+    return open_path(path).cloud(path)
 
 
 def complaint(of) -> str:

@@ -166,7 +166,7 @@ def test_a_viewpoint_that_is_none_condemns_nothing(viewpoint):
 
 
 def rows(tmp_path: Path, xyz: np.ndarray, ring: np.ndarray) -> tuple[Scan, Interpretation]:
-    return next(interpreted(made.write(tmp_path, "a.bin", made.rows(xyz, np.floor(FORMS[: len(xyz)] * 255), ring))))
+    return interpreted(made.write(tmp_path, "a.bin", made.rows(xyz, np.floor(FORMS[: len(xyz)] * 255), ring)))
 
 
 def test_five_columns_fix_no_forward_axis(tmp_path):
@@ -238,7 +238,7 @@ def test_centimetres_are_told_from_millimetres():
 @pytest.mark.parametrize("unit_m", [1e-6, 1e-5, 1e-4])
 def test_small_units_are_told_by_the_height_above_the_ground(unit_m, tmp_path, capsys):
     path = made.write(tmp_path, "a.npy", made.npy((XYZ / unit_m).round().astype(np.int32)))
-    ((scan, found),) = interpreted(path)
+    scan, found = interpreted(path)
     assert found.unit_m == unit_m and not found.doubts
     np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-3)
     assert main(["inspect", str(path)]) == 0 and "illimetres" in capsys.readouterr().out.replace(
@@ -278,7 +278,7 @@ def test_beams_that_come_from_beside_the_origin_are_doubted(aside, step):
 
 def test_real_sensors_stand_at_their_origins(kitti_mini: Path):
     for file in sorted(kitti_mini.glob("sequences/*/velodyne/*.bin"))[::16]:
-        assert not any("sharper" in doubt for doubt in next(interpreted(file))[1].doubts), file
+        assert not any("sharper" in doubt for doubt in interpreted(file)[1].doubts), file
 
 
 def test_a_road_along_y_does_not_say_which_end_is_ahead():

@@ -11,12 +11,12 @@ import sample_files as made
 from lidar2pano.errors import InputError
 from lidar2pano.formats.arrays import cloud_of
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ReadOptions, interpreted, open_path
+from lidar2pano.formats.readers import interpreted, open_path
 from lidar2pano.formats.unnamed_columns import column_names, row_width
 
 
 def cloud(path: Path) -> PointCloud:
-    return next(open_path(path).clouds(path, ReadOptions()))
+    return open_path(path).cloud(path)
 
 
 XYZ, RING = made.street(beams=32, columns=360)
@@ -71,7 +71,7 @@ def test_a_column_that_alternates_makes_no_wider_rows():
 def test_rows_of_any_width_and_type_are_no_more_points_than_there_are(tmp_path, names, kind):
     table = np.column_stack(TABLES[names]).astype(np.float32)
     path = made.write(tmp_path, "a.bin", table.astype(kind).tobytes())
-    (cloud,) = open_path(path).clouds(path, ReadOptions())
+    cloud = open_path(path).cloud(path)
     np.testing.assert_array_equal(cloud.xyz, XYZ)
     assert (cloud.intensity is not None) == ("intensity" in names) and (cloud.ring is not None) == ("ring" in names)
 
@@ -80,7 +80,7 @@ def test_rows_of_any_width_and_type_are_no_more_points_than_there_are(tmp_path, 
 def test_columns_one_after_the_other_are_told_from_rows(tmp_path, kind):
     columns = [*XYZ.T, FORMS]
     path = made.write(tmp_path, "a.bin", np.concatenate(columns).astype(kind).tobytes())
-    ((scan, _),) = interpreted(path)
+    scan, _ = interpreted(path)
     np.testing.assert_array_equal(scan.xyz, XYZ)
     np.testing.assert_allclose(scan.remission, FORMS, rtol=1e-6)
 
@@ -94,17 +94,17 @@ def test_an_array_with_ranges_is_told_from_one_without():
 def test_bytes_that_are_no_points_are_refused(tmp_path):
     path = made.write(tmp_path, "a.bin", GENERATOR.bytes(48_000))
     with pytest.raises(InputError, match="its bytes are no points"):
-        list(open_path(path).clouds(path, ReadOptions()))
+        open_path(path).cloud(path)
     path = made.write(tmp_path, "b.bin", np.column_stack(TABLES["x y z intensity ring"]).astype("<f4").tobytes()[:-4])
     with pytest.raises(InputError, match="20 bytes each: 5 float32"):
-        list(open_path(path).clouds(path, ReadOptions()))
+        open_path(path).cloud(path)
 
 
 def test_one_odd_number_condemns_no_rows(tmp_path):
     table = np.column_stack([XYZ, FORMS])
     table[7, 0], table[9, 3], table[11, 3] = 1e20, -1.0, np.nan
     path = made.write(tmp_path, "a.bin", table.astype("<f4").tobytes())
-    (cloud,) = open_path(path).clouds(path, ReadOptions())
+    cloud = open_path(path).cloud(path)
     assert len(cloud) == COUNT
 
 
@@ -157,7 +157,7 @@ def test_a_quaternion_among_the_names_is_a_pose(names, tmp_path):
 @pytest.mark.parametrize("unit_m", [1e-3, 1e-6])
 def test_rows_may_be_in_millimetres_and_micrometres(unit_m, kind, tmp_path):
     np.column_stack([XYZ / unit_m, made.remission(len(XYZ))]).astype(kind).tofile(tmp_path / "a.bin")
-    ((scan, found),) = interpreted(tmp_path / "a.bin")
+    scan, found = interpreted(tmp_path / "a.bin")
     assert found.unit_m == unit_m
     np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-4)
 

@@ -18,7 +18,7 @@ with atheris.instrument_imports(include=["lidar2pano"]):
     from lidar2pano.errors import InputError
     from lidar2pano.formats.file_contents import HEAD_BYTES
     from lidar2pano.formats.interpretation import interpret
-    from lidar2pano.formats.readers import READERS, FileReader
+    from lidar2pano.formats.readers import READERS
 
 MOST_BYTES = 1 << 16  # of an input
 PATH = Path("scan")
@@ -28,7 +28,7 @@ def read_input(data: bytes) -> None:
     """Decode and interpret bytes as the program does with a file of that content, without an ending."""
     try:
         for reader in READERS:
-            if isinstance(reader, FileReader) and reader.accepts(data[:HEAD_BYTES], PATH):
+            if reader.accepts(data[:HEAD_BYTES], PATH):
                 interpret(reader.decode(data, PATH))
                 return
     except InputError as error:

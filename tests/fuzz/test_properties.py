@@ -26,7 +26,7 @@ from lidar2pano.formats.image_files import (
 )
 from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.ply import write_ply
-from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.readers import open_path
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.geometry.projection import project_points
 from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, LABEL_SETS, SEMANTIC_KITTI, TABLES, LabelSet
@@ -119,7 +119,7 @@ def test_depths_are_read_to_half_a_step(depth_m):
 def test_a_ply_is_read_as_it_was_written(xyz):
     path = written("a.ply")
     write_ply(path, dict(zip("xyz", xyz.T, strict=True)))
-    (cloud,) = open_path(path).clouds(path, ReadOptions())
+    cloud = open_path(path).cloud(path)
     assert (cloud.xyz == xyz).all()
 
 

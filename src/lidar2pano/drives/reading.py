@@ -234,7 +234,7 @@ def scan_sources(
         try:
             reader = recording_reader(file)
             if reader is None:
-                yield _file_source(file, stems[file], partial(reading_process.read_cloud, file, selection))
+                yield _file_source(file, stems[file], partial(reading_process.read_cloud, file))
                 continue
             for frame in reading_process.frames(file, selection):
                 yield ScanSource(

@@ -17,7 +17,7 @@ from lidar2pano.formats import delimited_text, e57, las, pcd, ply
 from lidar2pano.formats.field_names import find_named
 from lidar2pano.formats.file_contents import is_packed
 from lidar2pano.formats.point_cloud import BLOCK_POINTS, FIELDS, PointCloud, RowLayout, cloud_of_columns
-from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.readers import open_path
 
 HEAD_BYTES = 1 << 16  # the longest header of a PLY or PCD
 READ_POINTS = 1 << 21  # in one block at most, kept or not
@@ -92,7 +92,7 @@ def map_blocks(path: Path) -> Generator[PointCloud]:
     with io.BufferedReader(open_regular(path)) as file:
         blocks = _blocks(file, reader.name, path)
         if blocks is None:
-            yield from reader.clouds(path, ReadOptions())
+            yield reader.cloud(path)
             return
         for columns in blocks:
             yield _cloud(columns, path)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats import arrays, delimited_text, e57, feather, las, pcd, ply
@@ -36,37 +36,21 @@ class ReadOptions:
     end_s: float | None = None
 
 
-class Reader(Protocol):
-    """Reads one format."""
-
-    @property
-    def name(self) -> str:
-        """Name of the format, for people."""
-        ...
-
-    def accepts(self, head: bytes, path: Path, /) -> bool:
-        """Return whether the file is of this format: by its first HEAD_BYTES; `path` as the last hint only."""
-        ...
-
-    def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
-        """Yield the clouds of the file: one for a scan, many for a recording; InputError for a damaged file."""
-        ...
-
-
 @dataclass(frozen=True)
-class FileReader:
+class Reader:
     """The reader of a format of one scan a file.
 
-    accepts  (first bytes, path) -> whether the file is of this format;  decode: (all bytes, path) -> its cloud.
+    accepts  (first HEAD_BYTES, path) -> whether the file is of this format; the path is the last hint only.
+    decode   (all bytes, path) -> its cloud; raises InputError for a damaged file.
     """
 
     name: str
     accepts: Callable[[bytes, Path], bool]
     decode: Callable[[bytes, Path], PointCloud]
 
-    def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
-        """Yield the one cloud of the file."""
-        yield self.decode(contents(path), path)
+    def cloud(self, path: Path) -> PointCloud:
+        """Read the cloud of a file."""
+        return self.decode(contents(path), path)
 
 
 def begins(*magics: bytes) -> Callable[[bytes, Path], bool]:
@@ -79,59 +63,45 @@ def _begins_pcd(head: bytes, _: Path) -> bool:
 
 
 READERS: tuple[Reader, ...] = (  # the first to accept a file reads it: those sure by content come first
-    FileReader("PCD", _begins_pcd, pcd.decode),
-    FileReader("PLY", begins(b"ply\n", b"ply\r", b"ply "), ply.decode),
-    FileReader("NPY", begins(b"\x93NUMPY"), arrays.decode_npy),
-    FileReader("NPZ", begins(b"PK\x03\x04", b"PK\x05\x06"), arrays.decode_npz),
-    FileReader("LAS", begins(b"LASF"), las.decode),
-    FileReader("E57", begins(e57.MAGIC), e57.decode),
-    FileReader("Feather", begins(b"ARROW1", b"FEA1"), feather.decode),
-    FileReader("Parquet", begins(feather.PARQUET), feather.decode),
-    FileReader("text", lambda head, _: b"\0" not in head and delimited_text.has_points(head), delimited_text.decode),
-    FileReader("float32 rows", float_rows.accepts, float_rows.decode),
+    Reader("PCD", _begins_pcd, pcd.decode),
+    Reader("PLY", begins(b"ply\n", b"ply\r", b"ply "), ply.decode),
+    Reader("NPY", begins(b"\x93NUMPY"), arrays.decode_npy),
+    Reader("NPZ", begins(b"PK\x03\x04", b"PK\x05\x06"), arrays.decode_npz),
+    Reader("LAS", begins(b"LASF"), las.decode),
+    Reader("E57", begins(e57.MAGIC), e57.decode),
+    Reader("Feather", begins(b"ARROW1", b"FEA1"), feather.decode),
+    Reader("Parquet", begins(feather.PARQUET), feather.decode),
+    Reader("text", lambda head, _: b"\0" not in head and delimited_text.has_points(head), delimited_text.decode),
+    Reader("float32 rows", float_rows.accepts, float_rows.decode),
 )
 
 
-def open_path(path: str | Path, readers: Sequence[Reader] = READERS) -> Reader:
-    """Return the first reader to accept the file; InputError when it cannot be read or none accepts it.
-
-    readers  the table; a package above this one (recordings) gives a longer one.
-    """
+def open_path(path: str | Path) -> Reader:
+    """Return the first reader to accept the file; InputError when it cannot be read or none accepts it."""
     path = Path(path)
     head = head_of(path)
     if kind := foreign_kind(head, path):
         raise InputError(f"{path}: is {kind.name}; {kind.advice}")
-    for reader in readers:
+    for reader in READERS:
         if reader.accepts(head, path):
             return reader
     if not head:
         raise InputError(f"{path}: is empty; name a scan file that holds points")
     if (line := delimited_text.first_line(head)) is not None:
         raise InputError(f"{path}: is text, but no table of points (it begins {line!r}); name a scan")
-    formats = ", ".join(reader.name for reader in readers)
+    formats = ", ".join(reader.name for reader in READERS)
     raise InputError(f"{path}: is of no format that is read ({formats}); write it as one of them")
 
 
-def interpreted(
-    path: str | Path,
-    options: ReadOptions | None = None,
-    overrides: Overrides | None = None,
-    like: Interpretation | None = None,
-    readers: Sequence[Reader] = READERS,
-) -> Iterator[tuple[Scan, Interpretation]]:
-    """Yield the scans of a file or recording, one at a time, each with its interpretation.
-
-    like  interpretation of the stream's first scan; its geometry holds for all scans of the stream.
-    """
+def interpreted(path: str | Path, overrides: Overrides | None = None) -> tuple[Scan, Interpretation]:
+    """Read the scan of a file, with its interpretation."""
     path = Path(path)
-    for cloud in open_path(path, readers).clouds(path, options or ReadOptions()):
-        cloud.require_points(f"{path}")
-        try:
-            scan, interpretation = interpret(cloud, overrides, like)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        like = like or interpretation
-        yield scan, interpretation
+    cloud = open_path(path).cloud(path)
+    cloud.require_points(f"{path}")
+    try:
+        return interpret(cloud, overrides)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN401
@@ -142,8 +112,6 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
     overrides  the user's knowledge; None: everything is found out from the scan.
     Raises InputError for a file missing, damaged or of no known format, and for points that are no sweep.
     """
-    if not isinstance(source, str | Path):
-        return interpret(arrays.cloud_of(source), overrides)[0]
-    for scan, _ in interpreted(source, overrides=overrides):
-        return scan
-    raise InputError(f"{source}: holds no scan; name another file")
+    if isinstance(source, str | Path):
+        return interpreted(source, overrides)[0]
+    return interpret(arrays.cloud_of(source), overrides)[0]

@@ -44,22 +44,19 @@ def get_ready() -> None:
     _child().start()
 
 
-def read_cloud(
-    path: Path, options: ReadOptions | None = None, *, most_points: float = math.inf, most_seconds: float = math.inf
-) -> PointCloud:
+def read_cloud(path: Path, *, most_points: float = math.inf, most_seconds: float = math.inf) -> PointCloud:
     """Return the points of a scan file; InputError as `open_path`, and for more points or seconds of reading."""
     bound = Bound.of(path)
     bound = replace(bound, seconds=min(bound.seconds, most_seconds))
-    return _child().call(bound, str(path), _cloud, path, options or ReadOptions(), most_points)
+    return _child().call(bound, str(path), _cloud, path, most_points)
 
 
-def _cloud(path: Path, options: ReadOptions, most_points: float) -> PointCloud:
-    for cloud in open_path(path).clouds(path, options):
-        if len(cloud) > most_points:
-            raise InputError(f"{path}: {len(cloud)} points are too many (at most {most_points}); thin it out")
-        cloud.require_points(f"{path}")
-        return cloud
-    raise InputError(f"{path}: holds no scan; name another file")
+def _cloud(path: Path, most_points: float) -> PointCloud:
+    cloud = open_path(path).cloud(path)
+    if len(cloud) > most_points:
+        raise InputError(f"{path}: {len(cloud)} points are too many (at most {most_points}); thin it out")
+    cloud.require_points(f"{path}")
+    return cloud
 
 
 def describe(path: Path) -> Description | None:

@@ -89,20 +89,16 @@ class Frame:
 class RecordingReader:
     """Reader of a format for a drive in a file or folder.
 
-    accept    (first bytes, path) -> whether the file is of this format.
+    accepts   (first bytes, path) -> whether the file is of this format.
     describe  path -> its contents;  frames: (path, options) -> its scans, in time.
     open      path -> the open recording, of ROS messages; None for others.
     """
 
     name: str
-    accept: Callable[[bytes, Path], bool]
+    accepts: Callable[[bytes, Path], bool]
     describe: Callable[[Path], Description]
     frames: Callable[[Path, ReadOptions], Iterator[Frame]]
     open: Callable[[Path], Recording] | None = None
-
-    def accepts(self, head: bytes, path: Path) -> bool:
-        """Return whether the file is of this format."""
-        return self.accept(head, path)
 
     def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
         """Yield the clouds of the recording, one at a time; InputError at the first damaged one.
@@ -120,7 +116,7 @@ class RecordingReader:
             raise empty
 
 
-def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[[Path], Recording]) -> RecordingReader:
+def ros_reader(name: str, accepts: Callable[[bytes, Path], bool], open: Callable[[Path], Recording]) -> RecordingReader:
     """Return the reader of a recording of ROS messages."""
 
     def describe(path: Path) -> Description:
@@ -131,7 +127,7 @@ def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[
         with closing(join_topics(open(path), options.topic)) as recording:
             yield from _ros_frames(recording, options)
 
-    return RecordingReader(name, accept, describe, frames, open)
+    return RecordingReader(name, accepts, describe, frames, open)
 
 
 def _ros_frames(recording: Recording, options: ReadOptions) -> Iterator[Frame]:
@@ -270,7 +266,7 @@ def unpacking_reader(reader: RecordingReader) -> RecordingReader:
             return cast(Recording, UnpackedRecording(recording, path, stack.pop_all()))
         raise AssertionError
 
-    return RecordingReader(f"{reader.name}, packed", reader.accept, describe, frames, open if reader.open else None)
+    return RecordingReader(f"{reader.name}, packed", reader.accepts, describe, frames, open if reader.open else None)
 
 
 def none_within(path: Path, duration_s: float) -> InputError:

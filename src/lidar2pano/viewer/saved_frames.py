@@ -11,7 +11,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
 from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.readers import open_path
 from lidar2pano.name_order import sort_names
 from lidar2pano.panorama import STEM_ENDINGS, VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
@@ -92,4 +92,4 @@ def _beside(path: Path, ending: str) -> np.ndarray | None:
 
 def _points(path: Path) -> PointCloud | None:
     """Read the points saved with the panorama, in the sensor's frame, metres; None without a file."""
-    return next(iter(open_path(path).clouds(path, ReadOptions())), None) if path.is_file() else None
+    return open_path(path).cloud(path) if path.is_file() else None
