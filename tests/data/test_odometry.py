@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lidar2pano.data.layouts import frames
-from lidar2pano.data.poses import Poses
+from lidar2pano.drives.reading import posed_scans
+from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.scan import Scan
 
 
@@ -27,15 +28,17 @@ def room(pose):
 
 def test_motion_is_estimated_from_scans(tmp_path):
     pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[recordings]'")
-    poses, found = Poses(tmp_path / "scans"), []
+    poses = []
     for number in range(8):
         pose, angle = np.eye(4), 0.01 * number
         pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         pose[0, 3] = 0.5 * number
         scan = room(pose)
         scan.xyz[5] = np.nan
-        found.append((pose, poses.of(tmp_path / "scans" / f"{number}.bin", scan)))
-    (was, before), (now, here) = found[3], found[7]
+        write_bin(tmp_path / f"{number}.bin", scan)
+        poses.append(pose)
+    found = [T for _, T in posed_scans(tmp_path)]
+    (was, before), (now, here) = ((poses[number], found[number]) for number in (3, 7))
     true, estimated = np.linalg.inv(was) @ now, np.linalg.inv(before) @ here
     assert np.allclose(estimated[:3, 3], true[:3, 3], atol=0.1)
     assert np.allclose(estimated[:3, :3], true[:3, :3], atol=0.005)
@@ -44,8 +47,7 @@ def test_motion_is_estimated_from_scans(tmp_path):
 def test_a_real_drive_goes_ahead(kitti_mini):
     pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[recordings]'")
     drive = frames(kitti_mini, "drive")
-    poses = Poses(drive[0].folder / "velodyne")
-    found = [poses.of(frame.folder / "velodyne" / f"{frame.stem}.bin", frame.scan) for frame in drive]
+    found = [T for _, T in posed_scans(drive[0].folder / "velodyne")]
     steps = np.array([np.linalg.inv(a) @ b for a, b in zip(found[3:], found[4:], strict=False)])
     assert (steps[:, 0, 3] > 0.1).all() and (steps[:, 0, 3] < 0.5).all(), "metres in a tenth of a second"
     assert np.abs(steps[:, 1:3, 3]).max() < 0.1

@@ -12,7 +12,6 @@ from lidar2pano.bounded_files import read_lines
 from lidar2pano.calibration import ROTATION_TOLERANCE, read_camera0
 from lidar2pano.data.cache import cached_by_files
 from lidar2pano.errors import InputError
-from lidar2pano.scan import Scan
 
 FAR_M = 100.0  # points beyond are not used to estimate poses
 MOST_POSES_BYTES = 1 << 25  # two hundred thousand lines, six hours
@@ -86,29 +85,6 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
     if wrong.any():
         raise InputError(f"{path}: line {wrong.argmax() + 1} holds no rotation; take the file from the data set")
     return lines
-
-
-class Poses:
-    """Poses of the scan files of one folder, requested in their order.
-
-    A folder `velodyne` of a sequence with a poses.txt has them there. Of any other they are estimated scan after
-    scan by KISS-ICP (Vizzo et al. 2023; extra `recordings`); InputError if it is not, and if
-    poses.txt or calib.txt is damaged.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._recorded = lidar_poses(folder.parent) if folder.name == "velodyne" else None
-        self._estimate: Any = None if self._recorded else odometry()
-
-    def of(self, file: Path, scan: Scan) -> np.ndarray | None:
-        """Return (4, 4) float64 T_world_sensor, metres, None if it is unknown.
-
-        Raises InputError if poses.txt has no line for the scan.
-        """
-        if self._recorded:
-            return self._recorded.at(file.stem)
-        self._estimate.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))
-        return self._estimate.last_pose.copy()
 
 
 def odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types

@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, open_regular, read_text
 from lidar2pano.calibration import read_mount
-from lidar2pano.data.poses import Poses, odometry
+from lidar2pano.data.poses import lidar_poses, odometry
 from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
@@ -108,9 +108,10 @@ def motion_of(
         return None
     elif city := city_motion(stream):
         drive = DriveMotion(*city, estimate=False)
+    elif stream.name == "velodyne" and (poses := lidar_poses(stream.parent)):
+        return lambda file, scan, _: (scan, poses.at(file.stem))
     else:
-        poses = Poses(stream)
-        return lambda file, scan, _: (scan, poses.of(file, scan))
+        drive = DriveMotion(None, "", estimate)
     return drive if drive.origin else None
 
 
