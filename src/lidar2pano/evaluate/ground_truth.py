@@ -20,9 +20,8 @@ from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, PanoramaGround
 from lidar2pano.data.journal import Journal
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.evaluate.panorama_system import SAME_PLACE_M
-from lidar2pano.geometry.camera import Lookup, panorama_in_camera
+from lidar2pano.geometry.camera import panorama_in_camera, panorama_in_view
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
-from lidar2pano.geometry.projection import directions, pixels
 from lidar2pano.geometry.rasters import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import may_move
@@ -56,7 +55,7 @@ def resampled(panorama: Panorama, view: View) -> Resampled:
     """Return the panorama on the raster `view`; the origins of the two views are ignored."""
     if same_raster(panorama.view, view):
         return Resampled(panorama.colour, panorama.segments, panorama.depth_m)
-    lookup = resampling_lookup(replace(panorama.view, origin=ZERO), replace(view, origin=ZERO))
+    lookup = _lookup(replace(panorama.view, origin=ZERO), replace(view, origin=ZERO))
     image = lookup.linear(torch.from_numpy(panorama.colour).movedim(2, 0).float())
     return Resampled(
         image=image.round().movedim(0, 2).to(torch.uint8).numpy(),
@@ -72,16 +71,7 @@ def same_raster(first: View, second: View) -> bool:
     return first.kind == second.kind and np.allclose(numbers[0], numbers[1], rtol=0, atol=1e-9)
 
 
-@lru_cache(maxsize=4)
-def resampling_lookup(old: View, new: View) -> Lookup:
-    """Return the look-up from the raster `old` to `new`, around the same origin."""
-    x, y, z = directions(new).unbind(-1)
-    row, column = pixels(x, y, z, old)
-    valid = (row >= 0) & (row < old.rows)
-    if not old.circular:
-        valid &= (column >= 0) & (column < old.columns)
-    row, column = (torch.where(valid, position, 0.0).float() for position in (row, column))
-    return Lookup(row=row, column=column, valid=valid, circular=old.circular)
+_lookup = lru_cache(maxsize=4)(panorama_in_view)
 
 
 def windows(predicted: np.ndarray, target: np.ndarray, valid: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
