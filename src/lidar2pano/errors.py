@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 
 
 class InputError(ValueError):
@@ -12,6 +13,15 @@ class InputError(ValueError):
     The message is one line with the thing, the fault and the remedy; the command line prints it and
     leaves with exit code 2.
     """
+
+
+@contextmanager
+def require_extra(extra: str, what: object) -> Generator[None]:
+    """Raise InputError in place of ImportError: `what` needs libraries of an extra of this package."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error
 
 
 def closest(name: str, names: Iterable[str]) -> str:

@@ -335,7 +335,7 @@ def test_without_opencv_its_installation_is_suggested(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "cv2", None)
     image = torch.zeros(3, 8, 8, dtype=torch.uint8)
-    with pytest.raises(InputError, match=r"needs OpenCV: pip install 'lidar2pano\[train\]'"):
+    with pytest.raises(InputError, match=r"needs the extra 'train': pip install 'lidar2pano\[train\]'"):
         optical_flow(image, image)
 
 

@@ -277,7 +277,7 @@ def test_parts_of_a_model(models: dict[str, Path], tmp_path: Path) -> None:
 
 def test_without_transformers_the_extra_is_named(models: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(InputError, match=r"this teacher needs transformers: pip install 'lidar2pano\[train\]'"):
+    with pytest.raises(InputError, match=r"this teacher needs the extra 'train': pip install 'lidar2pano\[train\]'"):
         load_teacher("mask2former", models["mask2former"], CPU)
     with pytest.raises(InputError, match=r"pip install 'lidar2pano\[train\]'"):
         local_folder("a/b")

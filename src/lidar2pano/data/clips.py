@@ -19,7 +19,7 @@ from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.panorama_crops import panorama_on
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.geometry.camera import Lookup, at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, reaches, relative_pose, scan_distances
 from lidar2pano.geometry.rasters import warp
@@ -243,10 +243,8 @@ def optical_flow(current: Tensor, previous: Tensor) -> Flow:
 
 def _dis(first: Tensor, second: Tensor) -> Tensor:
     """Return the flow (2, H, W) float32 from `first` to `second`, pixels."""
-    try:
+    with require_extra("train", "flow without poses.txt"):
         import cv2
-    except ModuleNotFoundError as error:
-        raise InputError("flow without poses.txt needs OpenCV: pip install 'lidar2pano[train]'") from error
     grey = [cv2.cvtColor(image.movedim(0, 2).numpy().copy(), cv2.COLOR_RGB2GRAY) for image in (first, second)]
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return torch.from_numpy(dis.calc(grey[0], grey[1], None)).movedim(2, 0).contiguous()  # pyright: ignore[reportCallIssue, reportArgumentType]

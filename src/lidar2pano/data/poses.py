@@ -11,7 +11,7 @@ import numpy as np
 from lidar2pano.bounded_files import read_lines
 from lidar2pano.calibration import ROTATION_TOLERANCE, read_camera0
 from lidar2pano.data.cache import cached_by_files
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 
 FAR_M = 100.0  # points beyond are not used to estimate poses
 MOST_POSES_BYTES = 1 << 25  # two hundred thousand lines, six hours
@@ -89,14 +89,9 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
 
 def odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types
     """KISS-ICP, ready for the first scan; InputError if the extra `recordings` is not installed."""
-    try:
+    with require_extra("recordings", "--steady without poses.txt beside velodyne/"):
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
-    except ImportError as error:
-        raise InputError(
-            "--steady needs the sensor's poses: write poses.txt beside velodyne/, or let them be estimated: "
-            "pip install 'lidar2pano[recordings]'"
-        ) from error
     config = KISSConfig()
     config.data.max_range, config.data.deskew = FAR_M, False  # scans carry no times
     config.mapping.voxel_size = FAR_M / 100  # as KISS-ICP's own command does

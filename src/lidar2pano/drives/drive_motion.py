@@ -13,7 +13,7 @@ from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, open_regular, read_
 from lidar2pano.calibration import read_mount
 from lidar2pano.data.poses import lidar_poses, odometry
 from lidar2pano.drives.folders import times
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Interpretation
 from lidar2pano.formats.readers import ReadOptions
@@ -136,10 +136,8 @@ def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
     path = folder.resolve().parent.parent / CITY_POSES
     if not path.is_file():
         return None
-    try:
+    with require_extra("formats", f"{path}:"):
         from pyarrow import feather
-    except ImportError as error:
-        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from error
     try:
         with open_regular(path) as file:
             table = feather.read_table(file, columns=list(CITY_COLUMNS))

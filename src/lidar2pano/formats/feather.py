@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.field_names import meanings
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
@@ -23,10 +23,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
     Raises InputError if the file is damaged, or pyarrow is not installed.
     """
-    try:
+    with require_extra("formats", f"{path}:"):
         import pyarrow as pa
-    except ModuleNotFoundError:
-        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     kind = "Parquet" if data.startswith(PARQUET) else "Feather"
     columns: dict[str, list[np.ndarray]] = {}
     points = 0

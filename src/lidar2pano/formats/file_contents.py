@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from lidar2pano.bounded_files import open_regular
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 
 HEAD_BYTES = 4096  # of a file, for readers to decide
 MOST_FILE_BYTES = 1 << 29  # a sparse or wrong file must not fill the memory
@@ -169,10 +169,8 @@ def _unpack(path: Path, file: io.FileIO, head: bytes, target: BinaryIO, most: in
 
 
 def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
-    try:
+    with require_extra("formats", f"{path}:"):
         from zstandard import ZstdDecompressor
-    except ModuleNotFoundError:
-        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     return ZstdDecompressor(max_window_size=1 << 27).stream_reader(file, read_across_frames=True)
 
 

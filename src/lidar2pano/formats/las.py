@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
@@ -33,11 +33,9 @@ def blocks_of(file: BinaryIO, length: int, path: Path, *, sweep: bool = False) -
 
     Raises InputError if the file is damaged, or laspy is not installed, or a `sweep` has more points than one has.
     """
-    try:
+    with require_extra("formats", f"{path}:"):
         import laspy
         import lazrs  # noqa: F401 laspy takes it for LAZ
-    except ModuleNotFoundError:
-        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     count = 0
     try:
         _check_records(file, length)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import require_extra
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree  # pyright: ignore[reportMissingTypeStubs]
@@ -162,10 +162,8 @@ def _ellipses(near: np.ndarray, value: np.ndarray, least_m: np.ndarray) -> Surfe
 
 
 def _tree(xyz: np.ndarray) -> KDTree:
-    try:
+    with require_extra("formats", "--at"):
         from scipy.spatial import KDTree  # pyright: ignore[reportMissingTypeStubs]
-    except ModuleNotFoundError:
-        raise InputError("--at: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     return KDTree(xyz)
 
 

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, pad
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.json_files import read_json, validated
 from lidar2pano.geometry.projection import check_normalisation
 from lidar2pano.hardware import fast_arithmetic
@@ -238,10 +238,8 @@ def parts_of(folder: Path) -> list[Path]:
 
 
 def _transformers() -> Any:  # noqa: ANN401
-    try:
+    with require_extra("train", "this teacher"):
         import transformers
-    except ModuleNotFoundError as error:
-        raise InputError("this teacher needs transformers: pip install 'lidar2pano[train]'") from error
     return transformers
 
 

@@ -223,11 +223,6 @@ def damage(path: Path, repair: str) -> Iterator[None]:
         raise InputError(f"{path}: is damaged or cut short ({reason}); {repair}") from error
 
 
-def missing_extra(path: Path, extra: str) -> InputError:
-    """Return the error for a file whose library is not installed."""
-    return InputError(f"{path}: reading it needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")
-
-
 @cache
 def deserializer(encoding: str) -> Callable[[bytes, str], Any]:
     """Return (bytes, type) -> message, for the standard types, unchanged in ROS 1 and ROS 2, and for DEFINITIONS."""

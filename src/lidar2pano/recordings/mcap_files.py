@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from lidar2pano.bounded_files import open_regular
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.recordings.description import (
     CDR,
     MOST_CHUNK_BYTES,
@@ -24,7 +24,6 @@ from lidar2pano.recordings.description import (
     Topic,
     damage,
     deserializer,
-    missing_extra,
 )
 from lidar2pano.recordings.point_messages import decode_json, decode_protobuf
 
@@ -39,12 +38,10 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         """Open the file. Raises InputError if it is damaged or cut short, or the extra is missing."""
         self.path = path
-        try:
+        with require_extra("recordings", f"{path}:"):
             import mcap  # noqa: F401
 
             deserializer(CDR)
-        except ImportError as error:
-            raise missing_extra(path, "recordings") from error
         try:
             self._file = io.BufferedReader(open_regular(path))
         except OSError as error:

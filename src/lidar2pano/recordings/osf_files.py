@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidar2pano.bounded_files import open_regular
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.image_files import MOST_PIXELS, decode_image
 from lidar2pano.formats.json_files import parse_json
 from lidar2pano.formats.point_cloud import PointCloud, sweep_error
-from lidar2pano.recordings.description import Description, Topic, choose_topic, damage, missing_extra
+from lidar2pano.recordings.description import Description, Topic, choose_topic, damage
 from lidar2pano.recordings.ouster_packets import Optics, optics_of
 
 OSF = (b"OSF!", b"OSF$")  # at byte 4 of a FlatBuffers file, 8 if its size comes before; $: of its header
@@ -204,10 +204,8 @@ def _field(data: bytes, stream: Stream, title: str) -> np.ndarray:
 
 def _unfiltered(data: bytes, shape: tuple[int, int], title: str) -> np.ndarray:
     """Return the values of a ZPNG: differences along rows, byte by byte, packed by zstd."""
-    try:
+    with require_extra("formats", f"{title}:"):
         from zstandard import ZstdDecompressor
-    except ModuleNotFoundError as error:
-        raise missing_extra(Path(title), "formats") from error
     width, height, channels, depth = struct.unpack_from("<HHBB", data, 2)
     size = channels * depth
     if (height, width) != shape or size not in (1, 2, 4, 8):

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidar2pano.bounded_files import open_regular
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, sweep_error
-from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
+from lidar2pano.recordings.description import Description, Topic, damage
 
 PCAP = {b"\xa1\xb2\xc3\xd4": (">", 1e-6), b"\xd4\xc3\xb2\xa1": ("<", 1e-6)}  # magic -> byte order, unit of fractions
 PCAP |= {b"\xa1\xb2\x3c\x4d": (">", 1e-9), b"\x4d\x3c\xb2\xa1": ("<", 1e-9)}
@@ -61,10 +61,8 @@ class PacketCapture:
 
         The stamp is the host's; `time` of the points is relative to it.
         """
-        try:
+        with require_extra("recordings", f"{self.path}:"):
             import velodyne_decoder
-        except ImportError as error:
-            raise missing_extra(self.path, "recordings") from error
         with damage(self.path, "its model may be unknown to velodyne-decoder"):
             decoder = velodyne_decoder.StreamDecoder(self._configuration(velodyne_decoder))
             for packet in packets(self.path):
@@ -125,10 +123,8 @@ def _classic(path: Path) -> Iterator[Packet]:
 
 def _newer(path: Path) -> Iterator[Packet]:
     """Packets of a pcapng; dpkt comes with velodyne-decoder."""
-    try:
+    with require_extra("recordings", f"{path}:"):
         import dpkt.pcapng
-    except ImportError as error:
-        raise missing_extra(path, "recordings") from error
     with io.BufferedReader(open_regular(path)) as file:
         for stamp_s, frame in dpkt.pcapng.Reader(file):
             yield Packet(stamp_s, bytes(frame))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
@@ -105,10 +105,8 @@ def decode_protobuf(data: bytes, name: str, descriptors: bytes) -> Any:  # noqa:
 
 @lru_cache(maxsize=8)
 def _message_class(name: str, descriptors: bytes) -> Any:  # noqa: ANN401
-    try:
+    with require_extra("recordings", name):
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-    except ImportError as error:
-        raise InputError(f"{name} needs the extra 'recordings': pip install 'lidar2pano[recordings]'") from error
     pool = descriptor_pool.DescriptorPool()
     waiting = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(descriptors).file}
     while waiting:  # each file behind those it depends on

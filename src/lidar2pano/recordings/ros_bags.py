@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 
 from lidar2pano.bounded_files import open_regular, read_text
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.recordings.description import (
     CDR,
     MOST_CHUNK_BYTES,
@@ -28,7 +28,6 @@ from lidar2pano.recordings.description import (
     Topic,
     damage,
     deserializer,
-    missing_extra,
 )
 from lidar2pano.recordings.mcap_files import McapFile
 
@@ -78,10 +77,8 @@ class RosBag:
 
     def __init__(self, path: Path, format: str, open: Callable[[Path], Any], encoding: str, repair: str) -> None:
         self.path, self._repair, self._decode = path, repair, None
-        try:
+        with require_extra("recordings", f"{path}:"):
             self._decode = deserializer(encoding)
-        except ImportError as error:
-            raise missing_extra(path, "recordings") from error
         with damage(path, repair):
             self._reader = open(path)
             self._connections = list(self._reader.connections)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import require_extra
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals, merged
 from lidar2pano.simulate.scene.surfaces import RAW_IDS, RAW_MOVING_IDS, SKY, masks, solid_at
 
@@ -215,11 +215,9 @@ def _no_hits(count: int, flat: bool) -> Hits:
 
 
 def _embree(whole: Mesh):  # noqa: ANN202 embreex has no types
-    try:
+    with require_extra("world", "the street world"):
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
-    except ImportError as error:
-        raise InputError("the street world needs embreex: pip install 'lidar2pano[world]'") from error
     scene = EmbreeScene()
     if len(whole):
         TriangleMesh(scene, whole.vertices, np.ascontiguousarray(whole.faces, dtype=np.int32))
