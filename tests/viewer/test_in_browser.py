@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lidar2pano import serve
 from lidar2pano.labels import COMMON15
 from lidar2pano.viewer.page import LOW_TO_HIGH, PageWriter
 from small_panoramas import VIEW, page_frame, small_panorama
@@ -577,3 +578,32 @@ def test_without_webgl_the_page_says_so(browser, pages):
     page.goto((pages / "one.html").as_uri())
     assert "needs WebGL 2" in page.get_by_role("alert").inner_text()
     page.context.close()
+
+
+# --- axe-core ---------------------------------------------------------------------------------------------------------
+
+AXE = os.environ.get("LIDAR2PANO_AXE", "")
+SERVED = Path(serve.__file__).parent / "pages"
+FAULTS = "async () => (await axe.run()).violations.map(one => [one.id, one.impact, one.nodes[0].html])"
+
+
+@pytest.mark.needs(THERE and AXE, "axe-core: npm install axe-core; LIDAR2PANO_AXE names its axe.min.js")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+@pytest.mark.parametrize(
+    ("name", "keys"), [("view", ""), ("view", "p"), ("view", "?"), ("index.html", ""), ("docs.html", "")]
+)
+def test_axe_finds_no_fault(browser, pages, name, keys, size, scheme):
+    """The pages of `view` and `serve`; the policy, which forbids axe's own script, is bypassed."""
+    viewport = {"width": size[0], "height": size[1]}
+    context = browser.new_context(viewport=viewport, color_scheme=scheme, bypass_csp=True)
+    page = context.new_page()
+    page.goto((pages / "one.html" if name == "view" else SERVED / name).as_uri())
+    if name == "view":
+        page.wait_for_selector("body[data-ready]")
+    for key in keys:
+        page.keyboard.press(key)
+    page.add_script_tag(path=AXE)
+    found = page.evaluate(FAULTS)
+    context.close()
+    assert found == []
