@@ -311,10 +311,10 @@ def released() -> str:
     def row(family: str, file: Path) -> list[str]:
         card = read_card(file)
         size = f"{file.stat().st_size / MIB:.1f} MiB"
-        return [f"`{family}`", file.stem, f"`{card.network}`", size, str(card.licence), f"{card.hours} h"]
+        return [f"`{family}`", file.stem, f"`{card.network}`", size, str(card.licence), f"{card.hours:.1f} h"]
 
     rows = (row(name, file) for name, folder in families().items() for file in sorted(folder.glob("*.safetensors")))
-    return table(["family", "part", "network", "size", "licence", "trained for"], rows)
+    return table(["family", "part", "network", "size", "licence", "last stage trained for"], rows)
 
 
 def published() -> str:
