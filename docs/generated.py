@@ -165,7 +165,8 @@ def _command(name: str, command: Any) -> str:  # noqa: ANN401
 
 
 def _metavar(parameter: Any) -> str:  # noqa: ANN401
-    return parameter.metavar or parameter.human_readable_name
+    name = parameter.metavar or parameter.human_readable_name
+    return f"{name}..." if parameter.nargs == -1 else name
 
 
 def _flags(option: Any) -> str:  # noqa: ANN401

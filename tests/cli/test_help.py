@@ -30,6 +30,13 @@ def translate_help(capsys, monkeypatch) -> str:
     return capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("command", "argument"), [("translate", "SCAN"), ("view", "PATH"), ("evaluate", "RUN")])
+def test_usage_says_once_that_there_may_be_several(command, argument, capsys):
+    assert main([command, "--help"]) == 0
+    usage = capsys.readouterr().out.splitlines()[1]
+    assert argument in usage and usage.count("...") == 1
+
+
 def test_options_stand_in_groups(translate_help):
     groups = [line.split()[1] for line in translate_help.splitlines() if line.startswith("\u256d\u2500 ")]
     assert groups[:2] == ["Arguments", "Options"] and {"Scans", "Cameras", "Panoramas", "Output"} <= set(groups)

@@ -60,7 +60,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     weights: Annotated[
         list[str],
         typer.Argument(
-            metavar="WEIGHTS|RUN...",
+            metavar="WEIGHTS|RUN",
             help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (oracle+PAINTER: ground-truth labels;"
             " NAME+steady: video smoothed over time by poses).",
         ),

@@ -38,7 +38,7 @@ DeviceOption = Annotated[
 ScansArgument = Annotated[
     list[Path],
     typer.Argument(
-        metavar="SCAN...",
+        metavar="SCAN",
         help="Scans of any format, folders, data sets, recordings; - for standard input.",
     ),
 ]

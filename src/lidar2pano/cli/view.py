@@ -18,7 +18,7 @@ from lidar2pano.errors import InputError
 def view(  # noqa: PLR0913, PLR0917 one parameter per option
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="PATH...", help="Panoramas (PNG, or folders written by translate), or scans."),
+        typer.Argument(metavar="PATH", help="Panoramas (PNG, or folders written by translate), or scans."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("view.html"),
     weights: opt.WeightsOption = opt.BEST,
