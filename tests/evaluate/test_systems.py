@@ -382,7 +382,6 @@ def test_images_are_painted_at_the_size_of_training(video):
 
 def test_the_oracle_paints_the_ground_truth(video, frame):
     one = system("oracle", painter=video, device="cpu")
-    assert isinstance(system("truth", painter=video, device="cpu"), Oracle)  # its former name
     assert isinstance(one, Oracle) and one.uses_ground_truth and one.info.name == f"oracle+{video}"
     ids = np.zeros((CAMERA[1], CAMERA[0]), np.uint8)
     ids[:, 100:] = ROAD

@@ -32,7 +32,7 @@ from lidar2pano.scene.depth import depth_code
 from lidar2pano.views import VIEWS, View, sensor_view
 
 STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
-ORACLE = ("oracle", "truth")  # first part of a chain: ground-truth camera labels; "truth" is its former name
+ORACLE = "oracle"  # first part of a chain: ground-truth camera labels
 ROLES = ("segmenter", "translator", "renderer", "painter", "first-frame painter")
 CARD_ENTRIES = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of each network, in results
 
@@ -232,7 +232,7 @@ def system(
     if STEADY in parts[1:]:
         return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor, engine))
     view = sensor_view(sensor) if sensor else None
-    if parts[0] in ORACLE:
+    if parts[0] == ORACLE:
         return _oracle(name, _merged(parts[1:]), picked)
     named = _merged(parts)
     if "renderer" in named:

@@ -246,13 +246,11 @@ def _door(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np
     boards.add(wall, (right - 0.2, right - 0.16), (back, back + 0.08), (hole.low + 0.95, hole.low + 1.2), "metal")
 
 
-def rows(
-    wall: Wall, middles: Sequence[float], low: float, size: tuple[float, float], kind: str = "window"
-) -> list[Opening]:
-    """Openings of one size (width, height) side by side; without those too close to the ends of the wall."""
+def rows(wall: Wall, middles: Sequence[float], low: float, size: tuple[float, float]) -> list[Opening]:
+    """Windows of one size (width, height) side by side; without those too close to the ends of the wall."""
     width, height = size
     ends = (width / 2 + 0.3, wall.length - width / 2 - 0.3)
-    return [Opening(middle, width, low, low + height, kind) for middle in middles if ends[0] <= middle <= ends[1]]
+    return [Opening(middle, width, low, low + height) for middle in middles if ends[0] <= middle <= ends[1]]
 
 
 def steps(boards: Boards, wall: Wall, hole: Opening) -> None:

@@ -80,11 +80,11 @@ def _bar(points: Points, radius: float, material: str, tint: Tint = PLAIN) -> Me
     return tube(points, radius, material, tint, sides=6, closed=False)
 
 
-def _ring(radius: float, thick: float, material: str, sides: int = 24, round_: int = 6) -> Mesh:
+def _ring(radius: float, thick: float, material: str, round_: int = 6) -> Mesh:
     """A torus around the y axis; `radius` to its outside."""
     turn = np.linspace(-np.pi / 2, 1.5 * np.pi, round_ + 1)
     outline = np.stack([-np.cos(turn) * thick, radius - thick + np.sin(turn) * thick], axis=1)
-    return lathe(outline, material, sides)
+    return lathe(outline, material, 24)
 
 
 def _wheel(radius: float, tyre: float, spokes: int, wide: float) -> Mesh:

@@ -217,9 +217,9 @@ class Town:
             out[inside] = names.index(stretch.land_use)
         return out
 
-    def height(self, xy: np.ndarray, road: int = 0, *, on_sidewalk: bool = True) -> np.ndarray:
+    def height(self, xy: np.ndarray, *, on_sidewalk: bool = True) -> np.ndarray:
         """Height (...) of the sidewalk and the land behind it, or of the carriageway, at points (..., 2), metres."""
-        return self.terrain.height(xy) + (self.roads[road].kerb if on_sidewalk else 0.0)
+        return self.terrain.height(xy) + (self.roads[0].kerb if on_sidewalk else 0.0)
 
 
 def build_town(seed: int, length: float, place: str) -> Town:
