@@ -198,3 +198,8 @@ def test_times_of_a_clock_are_no_words(time, tmp_path):
     path = tmp_path / "a.bin"
     path.write_text("".join(f"{time},{x},{y},{z}\n" for x, y, z in points))
     np.testing.assert_allclose(read(path).xyz, points, atol=1e-6)
+
+
+def test_a_table_with_two_columns_of_numbers_is_one_line():
+    with pytest.raises(InputError, match="its lines are no points"):
+        decode(b'"Point:0";"Poi19;3,837;-1,800;9\n-1,176;3,677;-', Path("a.csv"))

@@ -93,8 +93,9 @@ def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if lines have too few numbers, or their number is not the first line's."""
     header, claimed, data = _preamble(_plain_numbers(data), path)
     first = _cells(data[:MOST_LINE].lstrip().split(b"\n", 1)[0].decode("utf-8", "ignore"), len(header))
+    no_points = InputError(f"{path}: its lines are no points (x y z ... each); name a scan")
     if len(first) < LEAST:
-        raise InputError(f"{path}: its lines are no points (x y z ... each); name a scan")
+        raise no_points
     table, left_out = numbers(data, path, len(first))
     if claimed is not None and claimed != len(table):
         raise InputError(f"{path}: its first line says {claimed} points, but it holds {len(table)}; fetch it again")
@@ -108,6 +109,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
     columns: dict[str, np.ndarray] = {}
     if not header:
         table = table[:, np.isfinite(table).any(axis=0)]  # others are times of a clock, or words
+        if table.shape[1] < LEAST:
+            raise no_points
     for (name, factor), values in zip(header or map(Column, column_names(table)), table.T, strict=True):
         columns.setdefault(name, values if factor == 1 else values * factor)
     form = "with a header" if header else "count and numbers" if claimed is not None else "numbers only"
