@@ -7,17 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from lidar2pano.cli import main
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.hidden_cameras import EACH, SYSTEMS, hidden_views, score_hidden, table
+from lidar2pano.evaluate.hidden_cameras import EACH, SYSTEMS, frame_cameras, hidden_views, score_hidden, table
 from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import directions
 from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline import load
 from lidar2pano.pipeline.composition import compose, photographed
 from lidar2pano.views import VIEWS
 from miniature_surround import distances, six, write_pandaset
@@ -28,16 +30,18 @@ QUARTER = VIEWS["panorama"].scaled(0.25)
 class Grey:
     """A pipeline with the true depths of the painted place, and one colour."""
 
+    device = torch.device("cpu")
+
     def __init__(self, view=QUARTER) -> None:
         self.view = view
 
     def at(self, calibration) -> Grey:
         return Grey(at_camera(self.view, calibration))
 
-    def __call__(self, scan, cameras=()) -> Panorama:
+    def translate(self, scan, timer) -> Panorama:
         shape = (self.view.rows, self.view.columns)
         depth_m = distances(np.array(self.view.origin), directions(self.view).double().numpy())
-        panorama = Panorama(
+        return Panorama(
             name=scan.name,
             frame=0,
             view=self.view,
@@ -46,7 +50,9 @@ class Grey:
             depth_m=depth_m.astype(np.float32),
             labels=np.zeros(len(scan), dtype=np.int64),
         )
-        return compose(panorama, photographed(panorama, cameras)) if cameras else panorama
+
+    def paint(self, memory, scene, timer, cameras=()) -> tuple[object, Panorama]:
+        return memory, compose(scene, photographed(scene, cameras)) if cameras else scene
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +74,22 @@ def test_each_camera_is_hidden_in_turn_and_never_helps_itself(place):
         seen = view.valid & ~view.invented
         off = [np.abs(image - view.real)[seen].mean() for image in (helped, alone)]
         assert off[0] < 0.35 * off[1]
+
+
+def test_a_scan_is_translated_once_and_painted_as_by_calls(place, random_weights):
+    (frame,) = frames(place, "all")
+    pipeline = load(random_weights, "cpu", "torch")
+    translator, calls = pipeline.translator, []
+    hook = translator.register_forward_hook(lambda *_: calls.append(1))
+    (view,) = hidden_views(pipeline, frame, "back_camera")
+    hook.remove()
+    assert len(calls) == 1
+    cameras = frame_cameras(frame)
+    (hidden,) = (camera for camera in cameras if camera.name == "back_camera")
+    others = [camera for camera in cameras if camera is not hidden]
+    for predicted, own in zip(view.predicted.values(), ((), others), strict=True):
+        expected = pipeline.at(hidden.calibration)(frame.scan, own).to_camera(hidden.calibration).colour
+        assert np.array_equal(predicted, expected)
 
 
 def test_scores_say_what_the_other_cameras_bring(place, tmp_path):

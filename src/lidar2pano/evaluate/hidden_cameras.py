@@ -17,11 +17,14 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.geometry.stitching import Camera
+from lidar2pano.hardware import Timer
+from lidar2pano.memory import Memory
 from lidar2pano.metrics.accumulation import FrameMetric, Interval, SetMetric, interval, set_intervals
 from lidar2pano.metrics.frame_metrics import SSIM, ClassColourError, FeatureDistance
 from lidar2pano.metrics.frechet import PatchFrechetDistance
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.pipeline.composition import sound_cameras
 from lidar2pano.scan import Scan
 
 EACH = "each"  # in place of a camera's name
@@ -158,9 +161,11 @@ def hidden_views(pipeline: Pipeline, frame: Frame, leave_out: str) -> Iterator[H
 def hidden_view(
     pipeline: Pipeline, scan: Scan, hidden: Camera, other_cameras: Sequence[Camera], name: str
 ) -> HiddenView:
-    """Predict a camera's view from its optical centre."""
-    moved = pipeline.at(hidden.calibration)
-    panoramas = (moved(scan), moved(scan, other_cameras))
+    """Predict a camera's view from its optical centre: the scan is translated once, and painted twice."""
+    moved, timer = pipeline.at(hidden.calibration), Timer(pipeline.device)
+    scene = moved.translate(scan, timer)
+    sound, _ = sound_cameras(other_cameras, scan, edges=False)
+    panoramas = [moved.paint(Memory(), scene, timer, cameras)[1] for cameras in ((), sound)]
     look = [panorama.to_camera(hidden.calibration) for panorama in panoramas]
     valid = look[0].valid if hidden.ego_mask is None else look[0].valid & ~hidden.ego_mask
     return HiddenView(
