@@ -27,6 +27,7 @@ from lidar2pano.formats.image_files import (
 )
 from lidar2pano.formats.ply import write_ply
 from lidar2pano.geometry.camera import CUBE_AXES, PROJECTIONS, Lookup, equirectangular, lookups, panorama_in_camera
+from lidar2pano.geometry.exposure import metered_gain
 from lidar2pano.geometry.projection import directions, project
 from lidar2pano.geometry.stitching import Camera, homogeneous, look
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -166,14 +167,28 @@ class Panorama:
         cloud.colors = vector(np.column_stack([columns[name] for name in ("red", "green", "blue")]) / 255)
         return cloud
 
-    def to_camera(self, calibration: Calibration | LensCalibration) -> CameraImage:
+    def to_camera(self, calibration: Calibration | LensCalibration, *, metered: bool = False) -> CameraImage:
         """Look into the panorama through a camera (pinhole, or with a distorting or fisheye lens) at its origin.
 
+        metered  in the exposure of the camera, as far as those of the panorama tell it (`metered_gain`), instead of
+                 the panorama's.
         A camera that stands elsewhere is taken to stand there; `pipeline.at(calibration)` makes a panorama around it.
         """
         lookup = panorama_in_camera(self.view, calibration)
         colour, segments = (_resampled(values, lookup) for values in (self.colour, self.segments))
-        return CameraImage(colour=colour, segments=segments, valid=lookup.valid.numpy())
+        valid = lookup.valid.numpy()
+        if metered and valid.any():
+            levels = [self._level(camera) for camera in self.cameras]
+            gain = metered_gain(float(colour[valid].mean()), self.cameras, levels)
+            colour = (colour * gain).round().clip(0, 255).astype(np.uint8)
+        return CameraImage(colour=colour, segments=segments, valid=valid)
+
+    def _level(self, camera: Camera) -> float:
+        """Return the mean code of a camera's image on the panorama's rows, without the own vehicle; 0 without any."""
+        counted = panorama_in_camera(self.view, camera.calibration).valid.numpy()
+        if camera.ego_mask is not None:
+            counted = counted & ~camera.ego_mask
+        return float(camera.image[counted].mean()) if counted.any() else 0.0
 
     def colour_points(self, scan: Scan) -> PointColours:
         """The colour and class of every point of a scan of the same sensor frame, by default the panorama's own scan.

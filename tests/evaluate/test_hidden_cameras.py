@@ -92,6 +92,20 @@ def test_a_scan_is_translated_once_and_painted_as_by_calls(place, random_weights
         assert np.array_equal(predicted, expected)
 
 
+def test_cameras_that_meter_tell_the_exposure_of_a_hidden_one(place):
+    (frame,) = frames(place, "all")
+    level = 60
+    for name, camera in frame.cameras.items():
+        image = (camera.image * (level / camera.image.mean())).round().clip(0, 255).astype(np.uint8)
+        vars(frame)["cameras"] = {**frame.cameras, name: replace(camera, image=image)}
+    off = []
+    for view in hidden_views(Grey(), frame, EACH):
+        alone, helped = (view.predicted[system][view.valid].mean() for system in SYSTEMS)
+        assert alone == 128, "nothing tells the exposure of a scan"
+        off.append(abs(helped - view.real[view.valid].mean()))
+    assert np.mean(off) < 2.5, "3.9 without it"
+
+
 def test_scores_say_what_the_other_cameras_bring(place, tmp_path):
     coarse = PatchFeatures(lambda images: images[:, :, 2::4, 2::4].float(), 4, 1)
     scores = score_hidden(

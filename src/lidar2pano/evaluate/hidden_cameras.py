@@ -161,12 +161,15 @@ def hidden_views(pipeline: Pipeline, frame: Frame, leave_out: str) -> Iterator[H
 def hidden_view(
     pipeline: Pipeline, scan: Scan, hidden: Camera, other_cameras: Sequence[Camera], name: str
 ) -> HiddenView:
-    """Predict a camera's view from its optical centre: the scan is translated once, and painted twice."""
+    """Predict a camera's view from its optical centre: the scan is translated once, and painted twice.
+
+    The other cameras tell its exposure, too.
+    """
     moved, timer = pipeline.at(hidden.calibration), Timer(pipeline.device)
     scene = moved.translate(scan, timer)
     sound, _ = sound_cameras(other_cameras, scan, edges=False)
     panoramas = [moved.paint(Memory(), scene, timer, cameras)[1] for cameras in ((), sound)]
-    look = [panorama.to_camera(hidden.calibration) for panorama in panoramas]
+    look = [panorama.to_camera(hidden.calibration, metered=True) for panorama in panoramas]
     valid = look[0].valid if hidden.ego_mask is None else look[0].valid & ~hidden.ego_mask
     return HiddenView(
         name=name,
