@@ -4,10 +4,12 @@ A pixel is looked up once, at its own depth. The sky, and what is too far for an
 its direction, as if it were infinitely far away. At 100 m, the reach of most LiDARs, the error is
 baseline x focal_px / 100 m: 7 pixels for a camera 1 m beside the panorama's origin, none for one in its place.
 
-An invention is brought to the colours of cameras: the gain of a class takes the mean light of its painted pixels,
-where cameras see, to the cameras' mean there, red, green and blue by themselves (the adaptation of von Kries
+An invention that no camera guided is brought to their colours: the gain of a class takes the mean light of its painted
+pixels, where cameras see, to the cameras' mean there, red, green and blue by themselves (the adaptation of von Kries
 1902). Maps with more freedom (means and deviations, Reinhard et al. 2001; covariances, Pitie and Kokaram 2007) come no
-nearer to hidden cameras, and blow up what is painted wherever a class is seen in the wrong place.
+nearer to hidden cameras, and blow up paint wherever a class is seen in the wrong place. Where cameras guide the
+painter, these gains do so, too: over four places (PandaSet, two of DGP, a simulated town) the colour error of hidden
+views is 1.00 times as large with them, 95 % interval .94 to 1.07.
 """
 
 from __future__ import annotations
@@ -162,14 +164,15 @@ def photographed(panorama: Panorama, cameras: Sequence[Camera]) -> Photographed:
     return Photographed(*mixed(layers, sights, cameras, panorama.view), tuple(cameras))
 
 
-def compose(panorama: Panorama, real: Photographed) -> Panorama:
+def compose(panorama: Panorama, real: Photographed, *, guided: bool = False) -> Panorama:
     """Return the panorama with the colours of cameras wherever they see.
 
-    The invention takes their colours, class by class, and goes over into their pixels at its borders.
+    The invention takes their colours, class by class, unless they guided the painter; it goes over into their pixels at
+    its borders.
     """
     shown, source = real.colour.clone(), real.source
     colour, classes = torch.from_numpy(panorama.colour), torch.from_numpy(panorama.segments)
-    gains = light_gains(colour, classes, shown, source)
+    gains = {} if guided else light_gains(colour, classes, shown, source)
     offset = continued(shown, brightened(gains, *_coarse(colour, classes)), source > 0)
     hidden = (source == 0).flatten().nonzero()[:, 0]
     invented = brightened(gains, colour.flatten(0, 1)[hidden], classes.flatten()[hidden])
