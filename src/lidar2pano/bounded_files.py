@@ -1,4 +1,4 @@
-"""The gate for files: from outside only regular ones are opened, and read up to a size; into others nothing is written.
+"""The gate for files from outside: only regular ones are opened, and read up to a size.
 
 All functions but `read_input` raise OSError, whose `strerror` is the reason; callers add the kind of file.
 """
@@ -42,27 +42,6 @@ def sha256_of(path: str | Path) -> str:
     """Return the SHA-256 of a regular file, in hexadecimal."""
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def check_target(path: str | Path) -> None:
-    """Raise OSError if renaming a file to `path` would destroy something else: a link, device, FIFO or socket."""
-    try:
-        mode = os.lstat(path).st_mode
-    except FileNotFoundError:
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise OSError(errno.EINVAL, "it is a link, device, FIFO or socket, which is not replaced", str(path))
-
-
-def append_bytes(path: str | Path, data: bytes) -> None:
-    """Append to a regular file by one call of the system, so that processes' lines do not mix; no link is followed."""
-    check_target(path)
-    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    descriptor = os.open(path, flags, 0o666)
-    try:
-        os.write(descriptor, data)
-    finally:
-        os.close(descriptor)
 
 
 def read_bytes(path: str | Path, most: int) -> bytes:

@@ -11,10 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from lidar2pano.bounded_files import append_bytes, check_target
 from lidar2pano.drives.folders import head_below, names_below
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import reason
+from lidar2pano.formats.image_files import append_bytes, check_target, reason
 
 SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
 HOST = platform.node()[:64]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar2pano.bounded_files import check_target
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -274,6 +273,8 @@ def check_folder(folder: Path, option: str) -> Path:
 
 def check_file(path: Path, option: str) -> None:
     """Raise InputError unless a file can be written to `path`."""
+    from lidar2pano.formats.image_files import check_target
+
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file for {option}")
     check_folder(path.parent, option)

@@ -13,8 +13,9 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lidar2pano.bounded_files import append_bytes, open_regular, read_bytes
+from lidar2pano.bounded_files import open_regular, read_bytes
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import append_bytes
 from lidar2pano.formats.json_files import json_lines, validated
 
 NAME = "prepared.jsonl"

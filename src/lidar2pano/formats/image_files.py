@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import secrets
+import stat
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +19,7 @@ from typing import IO, Any
 import numpy as np
 from PIL import Image
 
-from lidar2pano.bounded_files import check_target, open_regular
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
 from lidar2pano.views import FULL_TURN, View
@@ -151,6 +153,27 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
     """Write depths (h, w) in metres as a 16 bit PNG, metres x 256, 0 = none, 255.99 m at most."""
     steps = np.clip(np.round(depth_m * DEPTH_STEPS), 0, 0xFFFF).astype(np.uint16)
     Image.fromarray(steps).save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def check_target(path: str | Path) -> None:
+    """Raise OSError if renaming a file to `path` would destroy something else: a link, device, FIFO or socket."""
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is a link, device, FIFO or socket, which is not replaced", str(path))
+
+
+def append_bytes(path: str | Path, data: bytes) -> None:
+    """Append to a regular file by one call of the system, so that processes' lines do not mix; no link is followed."""
+    check_target(path)
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        os.write(descriptor, data)
+    finally:
+        os.close(descriptor)
 
 
 def write_whole(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
