@@ -650,7 +650,7 @@ def test_the_command(random_weights, scan):
         taken.close()
         output, errors = process.communicate(timeout=60)
         assert link.split("/")[2] not in output + errors
-        if usual_s < 1:  # in a machine too busy for a panorama in four seconds, it ends without
+        if usual_s < 1:  # in a machine too busy for a panorama in three seconds, it ends without
             assert answer.startswith(b"HTTP/1.1 200") and process.returncode == 0
             assert errors.count("\n") == 1 and "not for commercial use" in errors
     finally:
