@@ -341,3 +341,12 @@ def test_near_infrared_light_is_found_by_its_names(name):
     odd = {**columns, name: np.where(np.arange(50) % 2, np.inf, 5.0)}
     scan, _ = interpret(cloud_of_columns(odd, format="test", name="a"))
     assert scan.near_infrared is not None and sorted(set(scan.near_infrared.tolist())) == [0, 5]
+
+
+@pytest.mark.parametrize(("most", "said"), [(1, "0-1 (as it is)"), (255, "0-255 (255 becomes 1)")])
+def test_inspect_says_how_remission_is_scaled(tmp_path, capsys, most, said):
+    xyz, _ = made.street(columns=180)
+    rows = np.column_stack([xyz, made.remission(len(xyz)) * most]).astype(np.float32)
+    np.save(path := tmp_path / "a.npy", rows)
+    assert main(["inspect", str(path)]) == 0
+    assert f"remission  {said}" in capsys.readouterr().out

@@ -173,7 +173,9 @@ def _remission(record: dict[str, Any]) -> str:
     if record["remission_full"] is None:
         return "none or constant; a constant stands in"
     odd = f", {record['remission_odd']} beyond or missing" if record["remission_odd"] else ""
-    return f"{record['remission']} ({record['remission_zero'] + record['remission_full']:g} becomes 1{odd})"
+    most = record["remission_zero"] + record["remission_full"]
+    scaled = f"{most:g} becomes 1" if most != 1 or record["remission_zero"] else "as it is"
+    return f"{record['remission']} ({scaled}{odd})"
 
 
 def _beams(record: dict[str, Any]) -> str:
