@@ -122,6 +122,43 @@ def test_a_crop_and_its_mirror_belong_to_their_latents(sectors):
     assert mirrors == {False, True}
 
 
+def test_a_style_is_of_any_camera_of_the_moment(sectors):
+    """The style of some columns of one camera's latents; three cameras at least have their turn."""
+    styles = {}
+    for camera in range(6):
+        encoded = sectors.encoded(camera)
+        ends = [(first, last) for first in range(40) for last in range(first, 40)]
+        parts = [(encoded.latents[..., a : b + 1], encoded.coverage[:, a : b + 1]) for a, b in ends]
+        styles[camera] = torch.stack([latents[:, shown].float().mean(1) for latents, shown in parts]).nan_to_num()
+    found = set()
+    for seed in range(30):
+        style = sectors[SampleIndex(1, seed)].style[:4]
+        gaps = {camera: float((means - style).abs().amax(1).min()) for camera, means in styles.items()}
+        assert min(gaps.values()) < 1e-4
+        found.add(min(gaps, key=gaps.__getitem__))
+    assert len(found) >= 3
+    own = sectors.encoded(1)
+    torch.testing.assert_close(sectors[1].style[:4], own.latents[:, own.coverage].float().mean(1), atol=1e-3, rtol=0)
+
+
+def test_half_of_the_crops_have_the_remission_of_another_sensor(place):
+    """It is a power and a factor, the order of points stays; geometry and classes are as they were."""
+    plain, other = (sectors_of(place, place / "set", place / "cache", "all") for _ in range(2))
+    other.octaves = 3.0
+    changed = 0
+    for seed in range(12):
+        before, after = (frames[SampleIndex(0, seed)].conditions for frames in (plain, other))
+        kept = [channel for channel in range(26) if channel != 23]
+        torch.testing.assert_close(after[kept], before[kept])
+        assert torch.equal(after[23] > 0, before[23] > 0)
+        if not torch.equal(after[23], before[23]):
+            changed += 1
+            inner = (before[23] > 0) & (after[23] < 1)
+            order = before[23][inner].argsort()
+            assert (after[23][inner][order].diff() >= -1e-6).all()
+    assert 2 <= changed <= 10
+
+
 def test_a_labelled_photograph_is_a_sector_without_geometry(place, tmp_path):
     """A photograph of 50 degrees: blue, its upper half sky; below it car to the left, unknown to the right."""
     labels = np.full((120, 160), 10, np.uint8)

@@ -35,6 +35,7 @@ HEIGHT_M = 4.0  # of a surface above the road, per unit of its condition
 HEIGHTS = (-1.0, 4.0)  # bounds of this condition
 SLOPE = 0.3  # tangent of elevation per unit of the last condition
 CLASSES, GEOMETRY, MEASUREMENT = slice(0, 16), slice(16, 22), slice(22, 25)  # groups of conditions, each may be absent
+REMISSION = 23  # of a measured pixel, in MEASUREMENT
 SIDEWAYS = 19  # a mirror changes the sign of this condition
 CONDITIONS = 26
 SKY = COMMON15.id_of("sky")

@@ -33,7 +33,16 @@ from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder
-from lidar2pano.models.latent_painter import FOLD, GEOMETRY, MEASUREMENT, STRIDE, conditions_of, mirrored, style_of
+from lidar2pano.models.latent_painter import (
+    FOLD,
+    GEOMETRY,
+    MEASUREMENT,
+    REMISSION,
+    STRIDE,
+    conditions_of,
+    mirrored,
+    style_of,
+)
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.scene.depth import FAR_M
 from lidar2pano.scene.record import Scene
@@ -54,7 +63,7 @@ class LatentSample(NamedTuple):
     latents     (L, H/4, W/4) float32 of the photograph, of the autoencoder.
     coverage    (H/4, W/4) bool: the camera shows all of their pixels.
     look        () int64: number of the look.
-    style       (2L + 1,) float32: `style_of` the latents of some columns of the sector, not normalised.
+    style       (2L + 1,) float32: `style_of` latents of some columns of a camera of its moment, not normalised.
     picture     (3, 2H, 2W) float32 in [-1, 1], the photograph;  shown: (2H, 2W) bool, its pixels in view. Both
                 have no rows but from PicturedFrames.
     """
@@ -83,6 +92,7 @@ class LatentFrames:
     networks     files of the pipeline's networks: sectors made by others are made again.
     looks        names of the looks; the first one is of photographs, the others are named by a world.json.
     columns      of a crop on the scene's raster;  cache: folder of the sectors' files; "": .lidar2pano of a data set.
+    octaves      largest change of remission's level in half of the crops drawn at random, as of other makes of sensor.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 data, networks and how they are read
@@ -100,7 +110,7 @@ class LatentFrames:
         most = sector_columns(pipeline.view)
         if columns % STRIDE or columns > most:
             raise InputError(f"options.columns={columns}: must be a multiple of {STRIDE}, at most {most}")
-        self.columns, self.cache = columns, cache
+        self.columns, self.cache, self.octaves = columns, cache, 0.0
         self._made_by = f"{FORM} {made_by(pipeline.view, *networks)}"
         self.places = [
             (number, camera, self._look(frame, looks))
@@ -108,6 +118,9 @@ class LatentFrames:
             for camera in cameras(frame)
             if is_rectified(frame, camera)
         ]
+        self._moments: dict[int, list[int]] = {}
+        for index, (number, _, _) in enumerate(self.places):
+            self._moments.setdefault(number, []).append(index)
         self._encoded: dict[Path, Encoded] = {}  # by the sector's file: a split that is named twice is encoded once
 
     @staticmethod
@@ -136,9 +149,16 @@ class LatentFrames:
             conditions = mirrored(conditions)
             coverage, picture, shown = (part.flip(-1) for part in (coverage, picture, shown))
             latents = encoded.mirrored[..., spare : spare + cells]
+        if generator is not None and generator.random() < 0.5:
+            conditions[REMISSION] = other_remission(conditions[REMISSION], generator, self.octaves)
         look = torch.tensor(self.places[index][2])
-        style = self._style(encoded, generator)
+        style = self._style(self._beside(index, generator), generator)
         return LatentSample(conditions, latents.float(), coverage, look, style, picture, shown)
+
+    def _beside(self, index: int, generator: np.random.Generator | None) -> Encoded:
+        """Return the sector of a camera of the same moment, drawn at random; the sector itself without a generator."""
+        moment = self._moments[self.places[index][0]]
+        return self.encoded(index if generator is None else int(generator.choice(moment)))
 
     @staticmethod
     def _style(encoded: Encoded, generator: np.random.Generator | None) -> Tensor:
@@ -281,6 +301,12 @@ class PicturedFrames(LatentFrames):
         window = (..., slice(start * FACTOR, (start + cells) * FACTOR))
         picture, shown = self.photograph(index)
         return picture[window], shown[window]
+
+
+def other_remission(remission: Tensor, generator: np.random.Generator, octaves: float) -> Tensor:
+    """Return remission (h, w) as another make of sensor has it: `scan.change_sensor_remission` at one range."""
+    level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
+    return (remission**2.0**curve * 2.0**level).clamp(0, 1)
 
 
 def pictured(picture: Tensor, coverage: Tensor) -> dict[str, Tensor]:

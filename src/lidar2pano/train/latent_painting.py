@@ -46,6 +46,7 @@ class LatentPaintingOptions(TaskOptions):
     style_probability   of a sample to be given a style, of some columns of its photograph.
     given_probability   of one of those to be given the latents of some columns as well.
     absent_probability  of each group of conditions to be absent from a sample.
+    remission_octaves   of half of the samples: largest change of remission's level, as of another make of sensor.
     shortcut     share of the samples of a batch for long steps.
     mean         whether the mean network learns as well; it begins to overfit long before the flow is done.
     """
@@ -61,6 +62,7 @@ class LatentPaintingOptions(TaskOptions):
     style_probability: float = 0.5
     given_probability: float = 0.5
     absent_probability: float = 0.1
+    remission_octaves: float = 3.0
     shortcut: float = 0.25
     mean: bool = True
 
@@ -107,6 +109,7 @@ class LatentPainting:
             )
             for splits in (recipe.data.train, recipe.data.val)
         )
+        self.dataset.octaves = recipe.options.remission_octaves
         self.logs: dict[str, float | Tensor] = {}
         if not recipe.networks["painter"].start:  # what starts from weights has a decoder and a scale of its own
             self._decode_as(autoencoder)
