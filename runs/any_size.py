@@ -29,7 +29,12 @@ FAMILIES: dict[str, tuple[str, ...]] = {  # recipe and what is set besides
     "segmenter": ("salsanext-mini", "data.train=train"),
     "titan": ("titan-mini",),
     "titan-pano": ("titan-pano-mini", SEGMENTER),
-    "painter": ("scene-painter-mini", SEGMENTER, f"options.translator={WEIGHTS / 'translator.safetensors'}"),
+    "painter": (
+        "latent-painter-mini",
+        SEGMENTER,
+        f"options.translator={WEIGHTS / 'translator.safetensors'}",
+        f"options.autoencoder={Path(__file__).parent / 'stages/pictures.safetensors'}",
+    ),
     "sdnet": ("sdnet-mini",),
     "scunet": ("scunet-mini",),
     "pix2pix": ("pix2pix-rgb-mini",),
@@ -133,7 +138,7 @@ def rates(root: Path) -> dict[str, float]:
     framing = clips.Framing(rows=128, columns=384, scale=0.5)
     sets = {
         "RangeImageDataset": range_images.RangeImageDataset(root, splits, VIEWS["hdl64e"], 1024),
-        "PanoramaDataset": panorama_crops.PanoramaDataset(root, splits, half, 576, image=True),
+        "PanoramaDataset": panorama_crops.PanoramaDataset(root, splits, half, 576),
         "FrontViewDataset": camera_pairs.FrontViewDataset(root, splits, VIEWS["titan-front"], (376, 1241), parts),
         "CameraProjectionDataset": camera_pairs.CameraProjectionDataset(root, splits, (376, 1241)),
         "CameraImageDataset": camera_segmentation.CameraImageDataset(root, splits, crop),

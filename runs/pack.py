@@ -25,7 +25,7 @@ from lidar2pano.scan import Scan
 
 STEPS_PER_M, STEPS_OF_REMISSION = 128, 200
 BESIDE = ("calib.txt", "poses.txt", "times.txt")  # of a sequence
-IMAGE_FOLDERS = ("image_2", "camera_labels", "pano", "pano_labels", "pano_depth", "pano_openings")
+IMAGE_FOLDERS = ("image_2", "camera_labels", "pano", "pano_labels", "pano_depth")
 
 
 def packed(scan: Scan, label: np.ndarray | None) -> np.ndarray:

@@ -2,8 +2,7 @@
 """What the full reproduction's stages cost: operations of a sample, samples, hours on one H100; writes the table
 of docs/semantic_kitti.md:
   runs/paper_arithmetic.py [--write]
-Operations are counted by torch without computing (fake tensors), at the recipe's sizes; nothing is trained. The
-scene painter, whose inputs the pipeline makes, is counted in the demo's panorama.
+Operations are counted by torch without computing (fake tensors), at the recipe's sizes; nothing is trained.
 A backward pass counts twice a forward pass, the penalty of the critic's gradient (forward, gradient, and backward of
 both) nine times. The share of the GPU's peak that such networks reach is an assumption, and said.
 """
@@ -18,11 +17,9 @@ from torch import nn
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
-from lidar2pano import demo
-from lidar2pano.formats.readers import read
 from lidar2pano.models import build
-from lidar2pano.pipeline import load
-from lidar2pano.train.recipe import Network
+from lidar2pano.models.latent_painter import CONDITIONS, FOLD
+from lidar2pano.train.recipe import Network, Recipe
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.views import VIEWS
 
@@ -35,7 +32,7 @@ IMAGE = (376, 1241)
 # Trainings of `reproduce --form full --segmenter FILE --sdnet FILE`: TITAN-Net and three ablations, two of Pix2Pix ...
 TIMES_IN_TABLES = {
     "TITAN-Net (and each ablation)": 4, "TITAN-Next": 1, "vid2vid": 1, "Pix2Pix": 2, "SC-UNET": 1, "titan-pano": 1,
-    "scene-painter, without its critic": 1,
+    "autoencoder, without its critic": 1, "latent-painter": 1,
 }  # fmt: skip
 
 
@@ -52,6 +49,7 @@ def forward_costs() -> dict[str, float]:
     sdnet, video, pano = (recipe_named(name) for name in ("sdnet", "vid2vid", "titan-pano"))
     clip = (video.options.rows, video.options.columns)
     crop = (VIEWS[pano.view].scaled(pano.scale).rows, pano.options.columns)
+    size, painter = recipe_named("autoencoder").options.size, recipe_named("latent-painter")
     image_critic, temporal_critic = (video.networks[role] for role in ("critic", "temporal_1"))
     return {
         "SalsaNext": gmacs(build("salsanext", classes=20, channels=5), (1, 5, 64, 2048)),
@@ -66,7 +64,8 @@ def forward_costs() -> dict[str, float]:
         "its critics": gmacs(network_of(image_critic), (1, 19, *clip)),
         "its temporal critics": gmacs(network_of(temporal_critic), (1, 13, *clip)),
         "titan-pano": gmacs(network_of(pano.networks["translator"]), (1, 5, *crop), (1, 20, *crop)),
-        "scene-painter": painter_gmacs(),
+        "autoencoder": gmacs(build("autoencoder"), (1, 3, size, size)),
+        "latent-painter": gmacs(network_of(painter.networks["painter"]), *painter_inputs(painter)),
     }
 
 
@@ -75,14 +74,13 @@ def network_of(network: Network) -> nn.Module:
     return build(network.model, **network.settings)
 
 
-def painter_gmacs() -> float:
-    """Billions of multiply-adds of the scene painter for the crop of its recipe: its part of those of a panorama."""
-    scan, pipeline = read(demo.street()), load("world", "cpu", "torch")
-    with FlopCounterMode(display=False) as counter:
-        panorama = pipeline(scan)
-    flops = counter.get_flop_counts()["ScenePainter"]
-    share = 2 * recipe_named("scene-painter").options.columns / panorama.colour.shape[1]
-    return share * sum(flops.values()) / 2e9
+def painter_inputs(recipe: Recipe) -> list[tuple[int, ...]]:
+    """Shapes of what the latent painter reads in a step, for a crop of its recipe: as of LatentPainter.forward."""
+    rows, columns = VIEWS[recipe.view].scaled(recipe.scale).rows, recipe.options.columns
+    network, raster = build("latent-painter", **recipe.networks["painter"].settings), (rows // FOLD, columns // FOLD)
+    looks, latents = (1, len(network.looks)), network.latents
+    noisy, photograph = (1, latents, *raster), (1, latents + 1, *raster)
+    return [(1, CONDITIONS, rows, columns), looks, noisy, (1,), (1,), (1,), photograph, (1, 2 * latents + 1)]
 
 
 def trainings(cost: dict[str, float]) -> list[tuple[str, float, float]]:
@@ -105,7 +103,8 @@ def trainings(cost: dict[str, float]) -> list[tuple[str, float, float]]:
         ("Pix2Pix", seen("pix2pix-segments"), pix2pix),
         ("SC-UNET", seen("scunet"), 3 * cost["SC-UNET"]),
         ("titan-pano", seen("titan-pano"), 3 * cost["titan-pano"]),
-        ("scene-painter, without its critic", seen("scene-painter"), 3 * cost["scene-painter"]),
+        ("autoencoder, without its critic", seen("autoencoder"), 3 * cost["autoencoder"]),
+        ("latent-painter", seen("latent-painter"), 3 * cost["latent-painter"]),
         ("`prepare`: labels of all images and scans", SCANS["all"], labelled * cost["SD-Net"] + cost["SalsaNext"]),
         ("`evaluate` of a row on `test`", SCANS["test"], cost["SalsaNext"] + cost["TITAN-Net"] + cost["vid2vid"]),
     ]

@@ -29,7 +29,7 @@ from lidar2pano.losses import lovasz_softmax
 from lidar2pano.memory import Memory
 from lidar2pano.models import build
 from lidar2pano.models.families import best_family, families
-from lidar2pano.pipeline import Pipeline, Segmenter, assemble, load, made_fast
+from lidar2pano.pipeline import Pipeline, Segmenter, assemble, engine_parts, load, made_fast
 from lidar2pano.pipeline.segmenter import clean_up
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import Scan
@@ -229,13 +229,15 @@ def lovasz_step(device: torch.device) -> Callable[[], None]:
 def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
     """The released networks' shapes with random weights: as fast, and of no other use."""
     segmenter, translator, painter = (
-        accelerated(made_fast(build(name).eval().to(device)), name, "", engine, device)
-        for name in ("salsanext", "titan-pano", "scene-painter")
+        made_fast(build(name).eval().to(device)) for name in ("salsanext", "titan-pano", "latent-painter")
     )
+    for network, name in ((segmenter, "salsanext"), (translator, "titan-pano"), (painter, "latent-painter")):
+        for model, part in engine_parts(network, name).items():
+            accelerated(part, model, "", engine, device)
     return assemble(
         Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
         translator,
-        painter,  # pyright: ignore[reportArgumentType] a ScenePainter, as built
+        painter,  # pyright: ignore[reportArgumentType] a LatentPainter, as built
         VIEWS["panorama"].scaled(0.5),
         device,
         engine=pick_engine(engine, device),

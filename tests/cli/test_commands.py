@@ -39,7 +39,7 @@ from lidar2pano.models.card import read_card
 from lidar2pano.panorama import STEM_ENDINGS
 from lidar2pano.pipeline import load
 from lidar2pano.progress import working
-from random_weights import CALIB, LICENCE, street, write_data_set, write_scan, write_weights
+from random_weights import CALIB, LICENCE, PAINTER, street, write_data_set, write_scan, write_weights
 
 # each command would start a child process of its own for the first scan that it reads
 pytestmark = pytest.mark.usefixtures("in_this_process")
@@ -339,7 +339,7 @@ def test_weights_list(random_weights, monkeypatch, capsys):
 
 def test_weights_info_of_a_run_shows_no_others(random_weights, tmp_path, monkeypatch, capsys):
     install_only(monkeypatch, random_weights.parent)
-    write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8, 16]})
+    write_weights(tmp_path / "weights", "painter", "latent-painter", PAINTER)
     assert main(["weights", "info", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count(".safetensors") == 1
 

@@ -38,7 +38,7 @@ def write_world(root: Path) -> Path:
     (root / "world.json").write_text(json.dumps({"views": ["panorama/8", "panorama/4"]}))
     rows, columns = EIGHTH.rows, EIGHTH.columns
     for folder in (root / "sequences").iterdir():
-        for part in ("pano", "pano_labels", "pano_depth", "pano_openings"):
+        for part in ("pano", "pano_labels", "pano_depth"):
             (folder / part).mkdir()
         # camera 0 moves 2 m along its axis from frame to frame, and then to its right: our x and -y
         poses = [np.column_stack([np.eye(3), at]) for at in ((5.0, 0, 0), (5.0, 0, 2), (6.0, 0, 2))]
@@ -49,7 +49,6 @@ def write_world(root: Path) -> Path:
             write_png(folder / "pano" / f"{scan.stem}.png", colour.astype(np.uint8))
             write_palette(folder / "pano_labels" / f"{scan.stem}.png", (column % 16).astype(np.uint8))
             write_depth(folder / "pano_depth" / f"{scan.stem}.png", column / 4.0)
-            write_ids(folder / "pano_openings" / f"{scan.stem}.png", np.where(column % 2, 255, 0).astype(np.uint8))
     return root
 
 
@@ -119,7 +118,6 @@ def test_a_world_tells_everything(world):
         and (around.labels[5] == np.arange(576) % 16).all()
     )
     assert around.depth_m.dtype == np.float32 and (around.depth_m[9] == np.arange(576) / 4).all()
-    assert around.openings.dtype == np.float32 and (around.openings[9] == np.arange(576) % 2).all()
 
 
 def test_poses_lead_to_the_first_frames_place(world):

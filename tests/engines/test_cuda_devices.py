@@ -12,11 +12,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from engine_of_torch import SLIM
-from lidar2pano.appearance.invented_textures import noise_tile, smooth_noise, solid_noise
-from lidar2pano.appearance.painter_inputs import sharpened, spread_out
 from lidar2pano.geometry.rasters import upsample_azimuth, upsample_classes
 from lidar2pano.models import build
-from lidar2pano.scene.surfaces import cylinder_points, normals
+from lidar2pano.models.latent_painter import conditions_of
+from lidar2pano.models.world_noise import world_noise
+from lidar2pano.scene.record import Scene
 from random_weights import TRANSLATOR_VIEW
 
 ELSEWHERE = torch.device("meta")
@@ -37,10 +37,8 @@ class OneDevice(TorchDispatchMode):
 
 @pytest.fixture(autouse=True)
 def _one_device():
-    noise_tile.cache_clear()
     with torch.no_grad(), OneDevice():
         yield
-    noise_tile.cache_clear()
 
 
 def there(*shapes: tuple[int, ...]) -> list[torch.Tensor]:
@@ -59,7 +57,11 @@ def test_a_mixture_of_devices_is_found():
     [
         ("salsanext", [(5, 32, 64)], [(20, 32, 64)]),
         ("titan-pano", [(5, 32, 64), (20, 32, 64)], [(16, 32, 64), (32, 64)]),
-        ("scene-painter", [(31, 48, 68), (3, 68, 132), (2,), (3,)], [(3, 64, 128)]),
+        (
+            "latent-painter",
+            [(26, 32, 64), (2,), (4, 8, 16), (), (), (), (5, 8, 16), (9,)],
+            [(4, 8, 16), (4, 8, 16)],
+        ),
     ],
 )
 def test_networks_stay_on_their_device(model, shapes, outputs):
@@ -69,17 +71,17 @@ def test_networks_stay_on_their_device(model, shapes, outputs):
     assert [(one.device, tuple(one.shape)) for one in found] == [(ELSEWHERE, (1, *shape)) for shape in outputs]
 
 
-def test_the_painters_inputs_stay_on_their_device(monkeypatch):
+def test_what_a_painter_reads_stays_on_its_device(monkeypatch):
     monkeypatch.setattr("torch.fx.experimental._config.meta_nonzero_assume_all_nonzero", True)
-    segments, depth_m, image = there((1, 16, ROWS, COLUMNS), (1, ROWS, COLUMNS), (2, 1, ROWS, COLUMNS))
-    radius_m, z_m = cylinder_points(depth_m, TRANSLATOR_VIEW)
+    segments, depth_m, channels, viewpoint_m = there(
+        (1, 16, ROWS, COLUMNS), (1, ROWS, COLUMNS), (1, 5, ROWS, COLUMNS), (1,)
+    )
+    scene = Scene(
+        view=TRANSLATOR_VIEW, channels=channels, probabilities=segments, depth_m=depth_m, viewpoint_m=viewpoint_m
+    )
     parts = [
-        sharpened(segments, 2.0),
-        radius_m,
-        normals(radius_m, z_m, TRANSLATOR_VIEW),
-        *spread_out(*image),
-        solid_noise(depth_m[0], depth_m[0] > 9, TRANSLATOR_VIEW, (0.25, 1.0)),
-        smooth_noise(radius_m, z_m, TRANSLATOR_VIEW, 16.0),
+        conditions_of(scene),
+        world_noise(scene, 4, 4),
         upsample_classes(segments, 2),
         upsample_azimuth(depth_m[None], 2),
     ]

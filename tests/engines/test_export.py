@@ -5,13 +5,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
-from engine_of_torch import SLIM
 from installed_families import INSTALLED, needs_streets
-from lidar2pano.appearance.invented_textures import noise_tile
 from lidar2pano.cli import main
 from lidar2pano.cli.export import networks_of, record_inputs
 from lidar2pano.engines import export as engine_export
@@ -23,7 +20,7 @@ from lidar2pano.models.card import Card, save
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.families import best_family, weight_files
 from lidar2pano.pipeline import Pipeline, load
-from random_weights import SEGMENTER_VIEW, TRANSLATOR_VIEW, write_family, write_weights
+from random_weights import SEGMENTER_VIEW, TRANSLATOR_VIEW
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -90,7 +87,8 @@ def test_a_family_becomes_graphs_with_cards(weights, graphs):
 @needs_streets
 def test_the_readme_lists_every_tensor_of_every_graph(graphs):
     readme = (graphs / "README.md").read_text()
-    assert "{" not in readme
+    assert "{" not in readme and "5. **Painter's `conditions`**" in readme
+    assert "| `painter-flow.onnx` | `time` | input | (batch) | how much" in readme
     assert "| `painter-flow.onnx` | `noisy` | input | (batch, 32, 12, 144) | noise at first" in readme
     for file in graphs.glob("*.onnx"):
         graph = onnx.load(file).graph
@@ -108,23 +106,8 @@ def test_the_graphs_of_other_families_compute_what_torch_does(small_raster, weig
     pipeline = load(small_raster(family), "cpu", "torch")
     roles = {role for role, card in pipeline.cards.items() if layers(card) not in known}
     parts = {role: part for role, part in exportable(pipeline).items() if role in roles}
-    written = export(parts, tmp_path / "graphs", np.zeros(1))
+    written = export(parts, tmp_path / "graphs")
     assert {path.stem for path in written if path.suffix == ".onnx"} == roles
-
-
-def test_a_latent_painter_becomes_a_graph_with_its_inputs_described(tmp_path):
-    family = tmp_path / "family"
-    family.mkdir()
-    write_family(family)
-    view = TRANSLATOR_VIEW.scaled(2 / 3).as_dict()
-    write_weights(family, "painter", "latent-painter", SLIM["latent-painter"], views={"panorama": view})
-    parts = exportable(load(family, "cpu", "torch"))
-    export({name: part for name, part in parts.items() if name.startswith("painter")}, tmp_path / "graphs")
-    graphs = ["painter-decoder.onnx", "painter-flow.onnx", "painter-mean.onnx"]
-    assert sorted(path.name for path in (tmp_path / "graphs").iterdir()) == ["README.md", *graphs]
-    readme = (tmp_path / "graphs" / "README.md").read_text()
-    assert "{" not in readme and "5. **Painter's `conditions`**" in readme and "solid noise" not in readme
-    assert "| `painter-flow.onnx` | `time` | input | (batch) | how much" in readme
 
 
 # --- what does not agree is not written -----------------------------------------------------------------------------
@@ -136,16 +119,14 @@ def test_a_graph_that_differs_leaves_no_file(weights, graphs, tmp_path, monkeypa
     monkeypatch.setattr(
         engine_export, "graph", lambda network, model, inputs, metadata: onnx.load(graphs / f"{metadata['role']}.onnx")
     )
-    noise = noise_tile(torch.device("cpu"), torch.float32).reshape(64, 64, 64).numpy()
-    written = export(parts, tmp_path / "good", noise)
-    assert sorted(path.name for path in written) == sorted([*FILES, "noise.npy"])
-    assert np.array_equal(np.load(tmp_path / "good" / "noise.npy"), noise)
+    written = export(parts, tmp_path / "good")
+    assert sorted(path.name for path in written) == FILES
     with torch.no_grad():
         pipeline.translator.depth.bias += 1e-3
     with pytest.raises(
         InputError, match="graph of the 'titan-pano' differs from torch by .* in 'depth_m'; nothing was"
     ):
-        export(parts, tmp_path / "bad", noise)
+        export(parts, tmp_path / "bad")
     assert not (tmp_path / "bad").exists()
 
 

@@ -429,7 +429,7 @@ def test_what_cannot_be_a_system(random_weights, front_weights, video, tmp_path)
     for name, said in {
         str(translator): "translator.safetensors: no weights for the segmenter",
         f"{renderer}+{video}": "a renderer predicts colours by itself, so the painter has no place",
-        f"{front_weights}+{random_weights / 'painter.safetensors'}": "a 'scene-painter' paints panoramas only",
+        f"{front_weights}+{random_weights / 'painter.safetensors'}": "a 'latent-painter' paints panoramas only",
         "oracle": "oracle: the ground-truth labels have to be painted",
         str(eye): "a 'sdnet' has no part in a system; evaluate takes it as --sdnet",
         str(tmp_path / "two"): "a.safetensors and b.safetensors are both a renderer; name one of them",

@@ -37,7 +37,6 @@ PARAMETERS: dict[str, tuple[str, Settings, int]] = {
 OURS = {
     "autoencoder",
     "latent-painter",
-    "scene-painter",
     "projected-critic",
     "titan-pano",
     "titan-next",

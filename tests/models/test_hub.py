@@ -253,5 +253,5 @@ def test_a_licence_that_the_hub_does_not_name_is_other():
     assert hub_licence(["Apache-2.0", "Apache-2.0"]) == {"license": "apache-2.0"}
     assert hub_licence(["MIT for the code"]) == {"license": "other", "license_name": "MIT for the code"}
     assert hub_licence(["MIT", ""]) == {"license": "other", "license_name": "MIT; not stated"}
-    page = model_page("a: b", {"painter": Card(network="scene-painter", data='x"y+z')})
+    page = model_page("a: b", {"painter": Card(network="latent-painter", data='x"y+z')})
     assert header_of(page)["datasets"] == ['x"y', "z"] and header_of(page)["license_name"] == "not stated"

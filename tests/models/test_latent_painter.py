@@ -9,7 +9,8 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.latent_painter import Clues, conditions_of, mirrored, style_of, world_noise
+from lidar2pano.models.latent_painter import Clues, conditions_of, mirrored, style_of
+from lidar2pano.models.world_noise import world_noise
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
 
@@ -76,7 +77,7 @@ def test_a_mirrored_scene_has_mirrored_conditions():
 
 def test_noise_is_normal_and_another_seed_is_another_one():
     scene = scene_of(street())
-    noise, other = world_noise(scene, 32), world_noise(scene, 32, seed=1)
+    noise, other = world_noise(scene, 32, 4), world_noise(scene, 32, 4, seed=1)
     assert noise.shape == (1, 32, 8, 96)
     assert abs(float(noise.mean())) < 0.02
     assert float(noise.std()) == pytest.approx(1, abs=0.02)
@@ -95,8 +96,8 @@ def test_noise_stays_where_it_is_while_the_sensor_turns():
     turned = np.eye(4)
     turned[:2, :2] = [[0, -1], [1, 0]]
     depth_m = street()
-    still = world_noise(scene_of(depth_m, view), 8)
-    moved = world_noise(scene_of(depth_m.roll(quarter, 2), view, turned), 8)
+    still = world_noise(scene_of(depth_m, view), 8, 4)
+    moved = world_noise(scene_of(depth_m.roll(quarter, 2), view, turned), 8, 4)
     same = (still == moved.roll(-quarter // 4, 3)).all(1)
     assert float(same.float().mean()) > 0.98  # rounding may put a point into the next cell
 
@@ -109,9 +110,11 @@ def test_noise_comes_along_when_the_sensor_moves_ahead():
     scene = replace(scene, probabilities=scene.probabilities.flip(2))  # no sky below
     ahead, away = np.eye(4), np.eye(4)
     ahead[0, 3], away[0, 3] = 0.1, 500.0
-    before = set(world_noise(scene, 1).flatten().tolist())
+    before = set(world_noise(scene, 1, 4).flatten().tolist())
     shared = [
-        np.mean([value in before for value in world_noise(replace(scene, T_world_sensor=pose), 1).flatten().tolist()])
+        np.mean(
+            [value in before for value in world_noise(replace(scene, T_world_sensor=pose), 1, 4).flatten().tolist()]
+        )
         for pose in (ahead, away)
     ]
     assert shared[0] > shared[1] + 0.3

@@ -17,6 +17,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.layouts import frames
 from lidar2pano.data.panorama_crops import PanoramaDataset
+from lidar2pano.data.photographs import PhotographDataset
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
@@ -258,8 +259,8 @@ def test_convention_rgb(tmp_path: Path, grey, inside):
     root = small_data(tmp_path, grey, 0)
     outside = frames(root, "train")[0].require("image")[0]
     assert outside.dtype == np.uint8 and outside.shape == (40, 100, 3)
-    sample = PanoramaDataset(root, ("train",), VIEWS["panorama"].scaled(0.125), 128, image=True)[0]
-    assert sample.image.dtype == torch.float32 and sample.image[:, sample.valid].unique().tolist() == [inside]
+    crop = PhotographDataset(root, ("train",), 32)[0]
+    assert crop.image.dtype == torch.float32 and crop.image.unique().tolist() == [inside]
 
 
 def test_convention_a_mistake_is_one_line(tmp_path: Path):

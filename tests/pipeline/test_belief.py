@@ -14,7 +14,6 @@ from car_street import CAR, FAR_M
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.rasters import upsample_azimuth
 from lidar2pano.labels import COMMON15
-from lidar2pano.memory import Memory
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.scan import Scan
 from lidar2pano.scene.surfaces import slopes
@@ -59,14 +58,8 @@ def pipeline(random_weights, scene) -> Pipeline:
     return replace(load(random_weights, "cpu", "torch"), view=VIEW, translator=Told(probabilities, depth_m[None]))
 
 
-def test_the_painter_draws_a_body(pipeline, scene):
-    """Otherwise the other tests show nothing."""
-    memory, _ = pipeline.step(Memory(), scene[3], np.eye(4))
-    assert len(memory.painted.top_m) == 1
-
-
 @pytest.mark.parametrize("poses", [None, [np.eye(4)] * 2])
-def test_a_drawn_car_has_the_confidence_of_the_network(pipeline, scene, poses):
+def test_a_car_has_the_confidence_of_the_network(pipeline, scene, poses):
     *_, panorama = pipeline.stream([scene[3]] * 2, poses)
     expected = upsample_azimuth(pipeline.translator.answer[0].softmax(1).amax(1, keepdim=True), 2)[0, 0]
     assert np.allclose(panorama.confidence, expected.numpy(), atol=1e-4)

@@ -13,9 +13,7 @@ import torch
 from PIL import Image
 from torch import nn
 
-from engine_of_torch import SLIM
 from installed_families import install_only
-from lidar2pano.appearance.painter_inputs import framed
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
@@ -38,7 +36,7 @@ from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import measured_depth
 from lidar2pano.views import VIEWS, View
 from miniature_surround import camera
-from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
+from random_weights import LICENCE, PAINTER, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
 
 SKY = COMMON15.id_of("sky")
 CAMERA = Calibration(
@@ -340,26 +338,17 @@ def test_there_is_no_seam(pipeline):
 # --- parts ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("network", "widths"), [("titan-pano", [8] * 5), ("scene-painter", [8] * 4)])
-def test_folding_norms_changes_nothing(network, widths):
+def test_folding_norms_changes_nothing():
     torch.manual_seed(3)
-    plain = spread_norms(build(network, widths=widths)).eval()
-    folded = build(network, widths=widths).eval()
+    plain = spread_norms(build("titan-pano", widths=[8] * 5)).eval()
+    folded = build("titan-pano", widths=[8] * 5).eval()
     folded.load_state_dict(plain.state_dict())
     fold_norms(folded)
     assert sum(isinstance(layer, nn.BatchNorm2d) for layer in folded.modules()) == 0
-    image = torch.rand(1, 5, 16, 64)
-    inputs = {
-        "titan-pano": (image, torch.rand(1, 20, 16, 64)),
-        "scene-painter": (
-            *framed(torch.rand(1, 31, 16, 64), torch.rand(1, 3, 32, 128)),
-            torch.ones(1, 1),
-            torch.zeros(1, 3),
-        ),
-    }
+    inputs = torch.rand(1, 5, 16, 64), torch.rand(1, 20, 16, 64)
     with torch.inference_mode():
-        before, after = plain(*inputs[network]), folded(*inputs[network])
-    for one, other in zip(*((x if isinstance(x, tuple) else (x,)) for x in (before, after)), strict=True):
+        before, after = plain(*inputs), folded(*inputs)
+    for one, other in zip(before, after, strict=True):
         assert (one - other).abs().max() < 1e-3 * one.abs().max()
 
 
@@ -511,7 +500,7 @@ def test_weights_without_a_painter_say_so(random_weights, tmp_path, monkeypatch)
 
 def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkeypatch):
     install_only(monkeypatch, random_weights.parent)
-    own = write_weights(tmp_path, "other", "scene-painter", {"widths": [8, 8, 8, 16]})
+    own = write_weights(tmp_path, "other", "latent-painter", PAINTER)
     files = weight_files(own)
     assert files == {role: random_weights / f"{role}.safetensors" for role in ("segmenter", "translator")} | {
         "painter": own
@@ -522,7 +511,7 @@ def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkey
 
 def test_two_files_for_one_role_are_refused(random_weights, tmp_path):
     for name in ("a", "b"):
-        write_weights(tmp_path, name, "scene-painter", {"widths": [8, 8, 8, 16]})
+        write_weights(tmp_path, name, "latent-painter", PAINTER)
     with pytest.raises(InputError, match="a.safetensors and b.safetensors are both a painter"):
         weight_files(tmp_path)
 
@@ -569,10 +558,8 @@ def test_cameras_guide_latent_painters_alone(random_weights, tmp_path, monkeypat
 
 
 def test_a_latent_painter_has_qualities_and_several_pictures(random_weights, tmp_path, capsys):
-    view = TRANSLATOR_VIEW.scaled(2 / 3).as_dict()
-    write_weights(tmp_path, "painter", "latent-painter", SLIM["latent-painter"], views={"panorama": view})
-    weights = f"{random_weights}+{tmp_path / 'painter.safetensors'}"
-    plain, scan = load(weights, "cpu", "torch"), street()
+    weights, scan = str(random_weights), street()
+    plain = load(weights, "cpu", "torch")
     pictures = [plain, *(plain.in_variant(*variant) for variant in (("fast", 0), ("fast", 5), ("best", 0)))]
     usual, again, another, best = (pipeline(scan) for pipeline in pictures)
     assert np.array_equal(usual.colour, again.colour)
@@ -584,18 +571,19 @@ def test_a_latent_painter_has_qualities_and_several_pictures(random_weights, tmp
     assert main([*command, "--seed", "5"]) == 0
     assert np.array_equal(read_image(tmp_path / "out" / "a.png"), pictures[2](file).colour)
     capsys.readouterr()
+    video = f"{weights}+{write_weights(tmp_path, 'video', 'vid2vid', GENERATOR)}"
     for options, message in (
         (("--quality", "bets"), "no quality 'bets'; did you mean 'best'?"),
-        (("--quality", "best"), "these weights paint one picture, in one quality"),
-        (("--seed", "1"), "these weights paint one picture, in one quality"),
+        (("--quality", "best", "--weights", video), "these weights paint one picture, in one quality"),
+        (("--seed", "1", "--weights", video), "these weights paint one picture, in one quality"),
     ):
-        assert main(["translate", str(file), "--weights", str(random_weights), "--out", str(tmp_path), *options]) == 2
+        assert main(["translate", str(file), "--weights", weights, "--out", str(tmp_path), *options]) == 2
         assert message in capsys.readouterr().err
 
 
 def test_a_run_gives_its_best_weights(tmp_path):
-    best = write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8, 16]})
-    write_weights(tmp_path / "weights", "painter.last", "scene-painter", {"widths": [8, 8, 8, 16]})
+    best = write_weights(tmp_path / "weights", "painter", "latent-painter", PAINTER)
+    write_weights(tmp_path / "weights", "painter.last", "latent-painter", PAINTER)
     assert weight_files(tmp_path, fill=False) == {"painter": best}
 
 

@@ -30,7 +30,7 @@ def test_a_panorama_is_one_short_line():
 def test_a_pipeline_is_one_short_line(random_weights):
     text = repr(load(random_weights, torch.device("cpu")))
     assert text.startswith("Pipeline(") and "\n" not in text and len(text) < 100
-    assert "salsanext" in text and "scene-painter" in text and text.endswith("cpu, torch)")
+    assert "salsanext" in text and "latent-painter" in text and text.endswith("cpu, torch)")
 
 
 def test_a_notebook_shows_the_colours():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,7 +80,8 @@ def plan(tmp_path):
 def test_parts_come_once_and_a_painter_after_its_translator(plan):
     parts = plan.parts
     assert len(set(parts)) == len(parts) and "oracle" not in parts
-    assert parts[0] == "salsanext" and parts.index("scene-painter") > parts.index("titan-pano")
+    assert parts[0] == "salsanext" and parts[-2:] == ["autoencoder", "latent-painter"] and "titan-pano" in parts
+    assert "autoencoder" not in replace(plan, rows={"titan": ROWS["titan"]}).parts
     assert "salsanext" not in replace(plan, segmenter="kitti-mini").parts
 
 
@@ -89,8 +91,9 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
     video = plan.recipe("vid2vid", {})
     assert video.data.train == ("train",) and video.options.single_frame_splits == ("train", "selection")
     files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
-    painter = plan.recipe("scene-painter", files)
-    assert (painter.options.segmenter, painter.options.translator) == (str(tmp_path / "s"), str(tmp_path / "t"))
+    painter = plan.recipe("latent-painter", files | {"autoencoder": tmp_path / "a"}).options
+    assert [Path(file).name for file in (painter.segmenter, painter.translator, painter.autoencoder)] == list("sta")
+    assert painter.cache == str(plan.out / "sectors")
     changed = replace(plan, changes=("titan.training.batch=3", "scunet.training.seed=5"))
     assert changed.recipe("titan", {}).training.batch == 3 and changed.recipe("scunet", {}).training.seed == 5
     assert plan.recipe("titan", {}).training.batch != 3

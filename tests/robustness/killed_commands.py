@@ -41,10 +41,6 @@ NARROW = ((6, 8, 10), (1, 1, 1))
 # Networks that a training takes milliseconds for, by recipe and role; other roles stay as they are.
 NETWORKS: dict[str, dict[str, dict[str, object]]] = {
     "titan-pano-mini": {"translator": {"classes": 16, "conditions": 20, "widths": (8, 8, 8, 8, 8), "pyramid": 8}},
-    "scene-painter-mini": {
-        "painter": {"looks": ("day",), "widths": (8, 8, 8, 8)},
-        "critic": {"mixed": 8, "width": 8},
-    },
     "autoencoder-mini": {
         "autoencoder": {"latents": 4, "encoder": (8, 8, 8), "decoder": (8, 8, 8, 8)},
         "critic": {"conditions": 4, "mixed": 8, "width": 8},

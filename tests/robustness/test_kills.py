@@ -146,11 +146,6 @@ def panorama_data(here: Path) -> tuple[Path, list[str]]:
     return miniature.write_data_set(here / "data"), changes
 
 
-def painter_data(here: Path) -> tuple[Path, list[str]]:
-    changes = ["scale=0.125", "options.columns=64", "options.cache={out}-frames"]
-    return miniature.write_data_set(here / "data"), [*changes, *translated(here)]
-
-
 def translated(here: Path) -> list[str]:
     return [f"options.{role}={here / 'small' / role}.safetensors" for role in ("segmenter", "translator")]
 
@@ -185,7 +180,6 @@ FAMILIES: dict[str, Callable[[Path], tuple[Path, list[str]]]] = dict.fromkeys(SM
     "salsanext-mini": labelled_data,
     "sdnet-mini": camera_data,
     "titan-pano-mini": panorama_data,
-    "scene-painter-mini": painter_data,
     "autoencoder-mini": photographs,
     "latent-painter-mini": sectors,
     "vid2vid-mini": videos,

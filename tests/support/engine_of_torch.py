@@ -10,20 +10,13 @@ from torch import Tensor, nn
 
 from lidar2pano.engines.runtimes import example, recordable
 from lidar2pano.engines.signatures import as_tuple
+from random_weights import PAINTER
 
 # settings that make networks small, by name in MODELS
 SLIM = {
     "salsanext": {"widths": (8, 8, 16, 16)},
     "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "scene-painter": {"widths": (8, 8, 8, 8), "looks": ("day", "dusk")},
-    "latent-painter": {
-        "looks": ("day", "dusk"),
-        "latents": 4,
-        "autoencoder": ((4, 6, 8), (4, 4, 6, 8)),
-        "mean": ((4, 6, 8), (1, 1, 1)),
-        "flow": ((4, 6, 8), (1, 1, 1)),
-        "code": 8,
-    },
+    "latent-painter": PAINTER | {"looks": ("day", "dusk")},
 }
 
 

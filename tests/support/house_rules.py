@@ -24,7 +24,6 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"scan", "views", "labels", "calibration", "name_order", "child_process", "progress"}),
     frozenset({"formats", "geometry", "hardware", "demo"}),
     frozenset({"scene"}),
-    frozenset({"appearance"}),
     frozenset(
         {
             "models",

@@ -25,6 +25,13 @@ SEGMENTER_VIEW = replace(VIEWS["hdl64e"], rows=32, columns=256)
 TRANSLATOR_VIEW = VIEWS["panorama"].scaled(1 / 8)  # 48 x 576
 FRONT_VIEW = replace(VIEWS["titan-front"], rows=32, columns=64)
 LICENCE = "CC-BY-NC-SA-4.0"
+PAINTER: dict[str, Any] = {  # settings that make a latent painter small
+    "latents": 4,
+    "autoencoder": [[4, 6, 8], [4, 4, 6, 8]],
+    "mean": [[4, 6, 8], [1, 1, 1]],
+    "flow": [[4, 6, 8], [1, 1, 1]],
+    "code": 8,
+}
 CALIB = (
     "P2: 718.856 0 607.1928 45.38225 0 718.856 185.2157 -0.1130887 0 0 1 0.003779761\n"
     "Tr: 0.0004276802 -0.9999672 -0.008084491 -0.01198459 -0.007210626 0.008081198 -0.9999413 -0.05403984"
@@ -79,7 +86,7 @@ def write_family(folder: Path) -> Path:
     slim = {"widths": [8, 8, 8, 8, 8], "pyramid": 8}
     write_segmenter(folder)
     write_weights(folder, "translator", "titan-pano", slim, labels="common-15", views=views)
-    write_weights(folder, "painter", "scene-painter", {"widths": [8, 8, 8, 8]}, views=views)
+    write_weights(folder, "painter", "latent-painter", PAINTER, views=views)
     return folder
 
 

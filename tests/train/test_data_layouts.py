@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import report, score, system
 from lidar2pano.evaluate.evaluation import Evaluation
+from lidar2pano.models import build
+from lidar2pano.models.card import Card, save
 from lidar2pano.models.families import weight_files
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override
@@ -19,6 +20,7 @@ from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
 from miniature_layouts import write_kitti360_layout, write_nuscenes_layout
+from random_weights import PAINTER
 
 PLAIN = ["training.steps=2", "training.batch=2", "training.workers=0", "training.precision=32-true"]
 MINI = ["data.train=mini_train", "data.val=mini_val"]
@@ -26,8 +28,7 @@ EIGHTH = VIEWS["panorama"].scaled(1 / 8)
 SETTINGS = {
     "segmenter": {},
     "translator": {"classes": 16, "conditions": 20, "widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "painter": {"looks": ("day",), "widths": (8, 8, 8, 8)},
-    "critic": {"mixed": 8, "width": 8},
+    "painter": PAINTER,
 }
 
 
@@ -69,6 +70,15 @@ def segmenter(nuscenes_root, tmp_path_factory) -> Path:
     return weight_files(out)["segmenter"]
 
 
+@pytest.fixture(scope="module")
+def latents(tmp_path_factory) -> str:
+    """An untrained autoencoder, as an option."""
+    file = tmp_path_factory.mktemp("latents") / "autoencoder.safetensors"
+    settings = {"latents": 4, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8)}
+    save(file, build("autoencoder", **settings), Card(network="autoencoder", settings=settings))
+    return f"options.autoencoder={file}"
+
+
 def evaluated(weights: Path, segmenter: Path, root: Path, split: str) -> Evaluation:
     chain = f"{segmenter.parents[1]}+{weights}"
     scored = frames(root, split, EIGHTH)[:1]
@@ -91,7 +101,9 @@ def test_nuscenes_without_lidarseg_says_what_to_download(nuscenes_root, tmp_path
             build_task(small(name, *MINI), tmp_path)
 
 
-def test_kitti_360_trains_a_translator_and_a_painter_on_a_segmenters_labels(kitti360_root, segmenter, tmp_path):
+def test_kitti_360_trains_a_translator_and_a_painter_on_a_segmenters_labels(
+    kitti360_root, segmenter, latents, tmp_path
+):
     labels = f"options.segmenter={segmenter}"
     options = ["scale=0.125", "options.columns=64"]
     with pytest.raises(InputError, match="KITTI-360 has no labels of single scans"):
@@ -102,21 +114,21 @@ def test_kitti_360_trains_a_translator_and_a_painter_on_a_segmenters_labels(kitt
     assert any(sector == "camera" and "miou" in metric for sector, metric in named)
     assert not any(sector == "panorama" for sector, _ in named), "one camera is no panorama"
     translator = f"options.translator={weight_files(tmp_path / 'translator')['translator']}"
-    task = build_task(small("scene-painter-mini", labels, translator, *options), kitti360_root)
+    task = build_task(small("latent-painter-mini", labels, translator, latents, *options), kitti360_root)
     sample = task.dataset[0]
-    assert sample.valid.any() and np.isfinite(sample.image.numpy()).all()
+    assert sample.coverage.any() and sample.latents.isfinite().all()
 
 
-def test_kitti_360_with_its_fisheyes_trains_and_is_evaluated_all_around(fisheye_root, segmenter, tmp_path):
+def test_kitti_360_with_its_fisheyes_trains_and_is_evaluated_all_around(fisheye_root, segmenter, latents, tmp_path):
     labels = f"options.segmenter={segmenter}"
     options = ["scale=0.125", "options.columns=64"]
     train(small("titan-pano-mini", labels, *options), fisheye_root, tmp_path / "translator", device="cpu")
     weights = weight_files(tmp_path / "translator")["translator"]
     translator = f"options.translator={weights}"
-    recipe = small("scene-painter-mini", labels, translator, *options)
+    recipe = small("latent-painter-mini", labels, translator, latents, *options)
     task = build_task(recipe, fisheye_root)
-    window = task.dataset.crops.window(0)
-    assert window.view.circular and window.valid.float().mean() > 0.95, "all around"
+    picture, coverage = task.dataset.photograph(0)
+    assert picture.shape[-1] == 2 * EIGHTH.columns and coverage.float().mean() > 0.95, "all around"
     train(recipe, fisheye_root, tmp_path / "painter", device="cpu")
     painter = weight_files(tmp_path / "painter")["painter"]
     chain = f"{segmenter.parents[1]}+{weights}+{painter}"

@@ -35,7 +35,7 @@ class SampleOptions(TaskOptions):
 SAMPLE = Recipe(
     name="sample",
     view="panorama",
-    networks={"painter": Network(model="scene-painter", settings={"blocks": 4, "widths": (32, 80, 144)})},
+    networks={"painter": Network(model="latent-painter", settings={"blocks": 4, "widths": (32, 80, 144)})},
     options=SampleOptions(),
 )
 
@@ -203,7 +203,7 @@ def test_an_unknown_recipe_is_refused_with_the_nearest():
 
 
 def test_resolved_tells_recipes_apart():
-    other = replace(SAMPLE, networks={"painter": Network(model="scene-painter", optimizer=Optimizer(warmup=1))})
+    other = replace(SAMPLE, networks={"painter": Network(model="latent-painter", optimizer=Optimizer(warmup=1))})
     assert resolved(other) != resolved(SAMPLE) != resolved(replace(SAMPLE, training=Training(seed=1)))
 
 

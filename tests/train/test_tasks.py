@@ -13,7 +13,8 @@ from torch.utils.data import default_collate
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
-from lidar2pano.models.card import load
+from lidar2pano.models import build
+from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.checkpoint import check_recipe, write_recipe
@@ -23,13 +24,14 @@ from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
 from miniature import write_data_set
+from random_weights import PAINTER
 
 ONE_STEP = ["training.steps=1", "training.batch=2", "training.workers=0", "training.precision=32-true"]
 SMALL = {
     "salsanext-mini": ["options.columns=64", "data.train=train"],
     "titan-pano-mini": ["scale=0.125", "options.columns=160"],
     "titan-mini": ["view=titan-front-small"],
-    "scene-painter-mini": ["scale=0.125", "options.columns=64"],
+    "latent-painter-mini": ["scale=0.125", "options.columns=64"],
 }
 PUBLISHED = "networks.segmenter.settings.widths=32,64,128,256"
 SETTINGS = {
@@ -38,9 +40,8 @@ SETTINGS = {
         "titan-pano-mini": {"classes": 16, "conditions": 20, "widths": (8, 8, 8, 8, 8), "pyramid": 8},
         "titan-mini": {"classes": 15, "conditions": 20, "size": (92, 160)},
     },
-    "painter": {"scene-painter-mini": {"looks": ("day",), "widths": (8, 8, 8, 8)}},
+    "painter": {"latent-painter-mini": PAINTER},
     "critic": {
-        "scene-painter-mini": {"mixed": 8, "width": 8},
         "titan-mini": {"image_channels": 15, "conditions": 20, "width": 4},
     },
 }
@@ -76,7 +77,10 @@ def runs(root, tmp_path_factory):
     train(small("titan-pano-mini", labels), root, out / "translator", device="cpu")
     translator = f"options.translator={out / 'translator/weights/translator.safetensors'}"
     cache = f"options.cache={out / 'frames'}"
-    train(small("scene-painter-mini", labels, translator, cache), root, out / "painter", device="cpu")
+    settings = {"latents": 4, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8)}
+    save(out / "a.safetensors", build("autoencoder", **settings), Card(network="autoencoder", settings=settings))
+    latents = f"options.autoencoder={out / 'a.safetensors'}"
+    train(small("latent-painter-mini", labels, translator, latents, cache), root, out / "painter", device="cpu")
     return out
 
 
@@ -113,8 +117,8 @@ def test_a_segmenter_may_read_roughness(root, tmp_path):
 
 
 def test_the_painter_says_which_weights_it_needs(root):
-    with pytest.raises(InputError, match="options.translator"):
-        build_task(small("scene-painter-mini"), root)
+    with pytest.raises(InputError, match="options.segmenter"):
+        build_task(small("latent-painter-mini", "options.autoencoder=a"), root)
 
 
 @pytest.mark.parametrize(

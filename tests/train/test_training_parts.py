@@ -21,7 +21,7 @@ from lidar2pano.models.card import Card, save
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
 from lidar2pano.train.engine import EMA, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.environment import Timer, choose_precision
-from lidar2pano.train.painter_recipes import ScenePaintingOptions
+from lidar2pano.train.latent_painting import LatentPaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, sample_at, seed_step
 from lidar2pano.train.task import build_networks
@@ -282,7 +282,7 @@ def test_a_checkpoint_executes_nothing(tmp_path):
 
 def small_critic(start="", width=4):
     spec = Network(model="projected-critic", settings={"mixed": 4, "width": width}, start=str(start))
-    return Recipe(name="r", view="panorama", networks={"critic": spec}, options=ScenePaintingOptions())
+    return Recipe(name="r", view="panorama", networks={"critic": spec}, options=LatentPaintingOptions())
 
 
 def test_networks_start_fresh_or_from_a_weight_file(tmp_path):
@@ -309,11 +309,11 @@ def test_a_card_names_every_data_set(tmp_path):
 
 def test_a_card_says_what_task_and_run_know():
     card = make_card(
-        Network(model="scene-painter", settings={"widths": (1, 2, 3)}),
+        Network(model="latent-painter", settings={"widths": (1, 2, 3)}),
         {"labels": "x", "steps": 1},
         {"steps": 2, "recipe": "r"},
     )
-    assert (card.network, card.settings, card.labels, card.steps) == ("scene-painter", {"widths": [1, 2, 3]}, "x", 2)
+    assert (card.network, card.settings, card.labels, card.steps) == ("latent-painter", {"widths": [1, 2, 3]}, "x", 2)
     assert card.commit == commit() != ""
 
 

@@ -34,7 +34,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.hardware import keep_buffers, pick_device
 from lidar2pano.models.families import BEST, best_family, paints_look, weight_files
-from lidar2pano.models.scene_painter import check_quality
+from lidar2pano.models.stream_painter import check_quality
 from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS

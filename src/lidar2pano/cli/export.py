@@ -26,9 +26,6 @@ def export(
     ],
 ) -> None:
     """Write segmenter, translator and painter as ONNX graphs, each compared with torch first."""
-    import torch
-
-    from lidar2pano.appearance.invented_textures import BITS, noise_tile
     from lidar2pano.cli.options import check_folder
     from lidar2pano.engines.export import Exportable, check_exportable, export
     from lidar2pano.pipeline import load
@@ -42,10 +39,7 @@ def export(
         name: Exportable(network=network, model=model, card=pipeline.cards[role].to_json(), inputs=inputs[name])
         for name, (role, model, network) in networks.items()
     }
-    noise = None
-    if pipeline.cards["painter"].network == "scene-painter":
-        noise = noise_tile(torch.device("cpu"), torch.float32).reshape(3 * (2**BITS,)).numpy()
-    written = export(parts, folder, noise)
+    written = export(parts, folder)
     print_weights("", pipeline.cards.values())
     print("\n".join(map(str, written)))
 

@@ -41,7 +41,6 @@ class PanoramaGroundTruth:
     labels   (H, W) uint8 ids of COMMON15, IGNORE if unknown; None if no pixel's class is known.
     depth_m  (H, W) float32 metres from the view's origin along the ray, 0 if there is none (sky) or it is unknown;
              None if no pixel's depth is known.
-    openings (H, W) float32 in [0, 1], the share of a pixel of windows and doors of buildings; None: not known.
     """
 
     view: View
@@ -49,7 +48,6 @@ class PanoramaGroundTruth:
     valid: np.ndarray
     labels: np.ndarray | None = None
     depth_m: np.ndarray | None = None
-    openings: np.ndarray | None = None
 
 
 class Frame:

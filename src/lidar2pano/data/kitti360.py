@@ -135,6 +135,11 @@ class Kitti360Frame(SurroundFrame):
         return camera
 
     @cached_property
+    def camera_names(self) -> tuple[str, ...]:
+        """Return no names: its images are taken whole, ahead or stitched."""
+        return ()
+
+    @cached_property
     def cameras(self) -> Mapping[str, Camera]:
         """The images of the three cameras by name; InputError if one is missing or damaged, or not of its size."""
         image, camera = self.require("image", "calibration")

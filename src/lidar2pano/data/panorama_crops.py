@@ -42,8 +42,6 @@ class PanoramaSample(NamedTuple):
     camera_labels  (H, W) int64 ids of COMMON15, IGNORE if unknown or outside the camera's image.
     depth_m        (H, W) float32: distance from the camera of the full scan's points, or of the true panorama where
                    there is one, metres; zero if none.
-    image          (3, 2H, 2W) float32 in [-1, 1]: the camera's image on the raster twice as fine; empty unless wanted.
-    valid          (2H, 2W) bool: `image` is known.
     name           "seq/frame".
     """
 
@@ -51,8 +49,6 @@ class PanoramaSample(NamedTuple):
     segments: Tensor
     camera_labels: Tensor
     depth_m: Tensor
-    image: Tensor
-    valid: Tensor
     name: str
 
 
@@ -61,29 +57,22 @@ class PanoramaWindow(NamedTuple):
 
     scan           with its point labels, if it has any;  view: the window or the whole raster, around the camera's
                    optical centre.
-    camera_labels  (H, W) uint8, depth_m (H, W) float32, image (3, 2H, 2W) uint8, valid (2H, 2W) bool: see
-                   PanoramaSample.
-    openings       (H, W) float32 in [0, 1]: the share of windows and doors in a pixel; NaN if not known.
+    camera_labels  (H, W) uint8, depth_m (H, W) float32: see PanoramaSample.
     """
 
     scan: Scan
     view: View
     camera_labels: Tensor
     depth_m: Tensor
-    image: Tensor
-    valid: Tensor
-    openings: Tensor
 
 
 class PanoramaDataset:
     """Scan/camera pairs of some splits on `view`, cropped to `columns` around the camera's sector.
 
-    Of frames with a true panorama, crops come from every direction. If it has no labels but the camera's image has,
-    they do only if the image is wanted, and labels are known in the camera's sector.
+    Of frames with a true panorama, crops come from every direction, unless only the camera's image has labels.
 
     view      the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
     columns   width of the crop, a multiple of 16; shift_px: how far left or right of the camera's middle it may begin.
-    image     whether samples have the camera's image.
     elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
               SHIFT_PX at most from the middle.
     sensors   largest change of level, in octaves, of remission in half of the augmented samples (ScanAugmentation).
@@ -96,13 +85,12 @@ class PanoramaDataset:
         view: View,
         columns: int = 640,
         *,
-        image: bool = False,
         shift_px: int = SHIFT_PX,
         elsewhere: float = 1.0,
         sensors: float = 0.0,
     ) -> None:
         self.frames = frames_of(root, splits)
-        self.view, self.columns, self.image = view, columns, image
+        self.view, self.columns = view, columns
         self.shift_px, self.elsewhere, self.sensors = shift_px, elsewhere, sensors
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
@@ -175,57 +163,39 @@ class PanoramaDataset:
     def _sample(self, window: PanoramaWindow, scan: Scan, name: str, start: int) -> PanoramaSample:
         range_image = project(scan, window.view.window(start, self.columns))
         assert scan.label is not None
-        coarse, fine = slice(start, start + self.columns), slice(2 * start, 2 * (start + self.columns))
+        columns = slice(start, start + self.columns)
         return PanoramaSample(
             range_image=range_image.channels,
             segments=range_image.spread(torch.from_numpy(scan.label)),
-            camera_labels=window.camera_labels[:, coarse].long(),
-            depth_m=window.depth_m[:, coarse],
-            image=in_unit(window.image[..., fine]),
-            valid=window.valid[:, fine],
+            camera_labels=window.camera_labels[:, columns].long(),
+            depth_m=window.depth_m[:, columns],
             name=name,
         )
 
     def _read(self, frame: Frame) -> PanoramaWindow:
         view, labels = self._camera_labels(frame)
-        image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
-        scan, openings = replace(frame.scan, label=frame.point_labels), torch.full(labels.shape, torch.nan)
+        scan = replace(frame.scan, label=frame.point_labels)
         if self._all_around(frame):
-            camera_labels = frame.panorama_labels is None
-            ground_truth = panorama_on(frame, self.view, camera_labels)
-            depth_m = torch.from_numpy(ground_truth.depth_m)
-            if ground_truth.openings is not None:
-                openings = torch.from_numpy(ground_truth.openings)
-            if self.image:
-                fine = panorama_on(frame, self.view.scaled(2), camera_labels)
-                image, valid = torch.from_numpy(fine.image).movedim(2, 0), torch.from_numpy(fine.valid)
+            depth_m = torch.from_numpy(panorama_on(frame, self.view).depth_m)
         else:
             depth_m = project(scan, view).channels[0]
-            if self.image:
-                pixels, calibration = frame.require("image", "calibration")
-                lookup = camera_in_panorama(view.scaled(2), calibration)
-                image = lookup.linear(torch.from_numpy(pixels).movedim(2, 0).float()).round().to(torch.uint8)
-                valid = lookup.valid
-        return PanoramaWindow(scan, view, labels, depth_m, image, valid, openings)
+        return PanoramaWindow(scan, view, labels, depth_m)
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """Return the sampled part of a frame's raster, and its camera labels, uint8 of COMMON15 or IGNORE."""
-        is_panoramic = self._all_around(frame)
-        if is_panoramic and (frame.panorama_labels is not None or frame.camera_labels is None):
+        if self._all_around(frame):
             panorama = panorama_on(frame, self.view)
             labels = torch.from_numpy(panorama.labels)
             return panorama.view, labels.where(labels != 0, IGNORE)
         ids, calibration = frame.require("camera_labels", "calibration")
-        view = at_camera(self.view, calibration)
-        if not is_panoramic:
-            view = around_camera(view, calibration, self.columns + 2 * self.shift_px)
+        view = around_camera(at_camera(self.view, calibration), calibration, self.columns + 2 * self.shift_px)
         return view, camera_in_panorama(view, calibration).nearest(
             torch.from_numpy(CITYSCAPES_TO_COMMON15[ids]), IGNORE
         )
 
     def _all_around(self, frame: Frame) -> bool:
-        """Return whether a frame is sampled on the whole raster; not for depths alone if only the camera has labels."""
-        if not self.image and frame.panorama_labels is None and frame.camera_labels is not None:
+        """Return whether a frame is sampled on the whole raster; not if only the camera has labels."""
+        if frame.panorama_labels is None and frame.camera_labels is not None:
             return False
         return frame.panorama_for(self.view) is not None
 
@@ -265,7 +235,6 @@ def panorama_on(frame: Frame, view: View, camera_labels: bool = False) -> Panora
         valid=panorama.valid[row[:, None], column],
         labels=None if panorama.labels is None else resized(panorama.labels, view, Image.Resampling.NEAREST),
         depth_m=panorama.depth_m[row[:, None], column],
-        openings=None if panorama.openings is None else resized(panorama.openings, view, Image.Resampling.BOX),
     )
 
 

@@ -55,7 +55,7 @@ class PhotographDataset:
         """Return a photograph (h, w, 3) uint8 RGB whose sides are multiples of FACTOR, cut at the right and below."""
         number, camera = self._places[index]
         frame = self.frames[number]
-        if isinstance(frame, SurroundFrame):
+        if camera and isinstance(frame, SurroundFrame):
             image = frame.cameras[camera].image
         else:
             (image,) = frame.require("image")
@@ -101,5 +101,9 @@ def as_signed(image: np.ndarray) -> Tensor:
 
 
 def cameras(frame: Frame) -> tuple[str, ...]:
-    """Return the names of a surround frame's cameras; ("",) for a frame with one image."""
-    return tuple(frame.cameras) if isinstance(frame, SurroundFrame) else ("",)
+    """Return the names of a surround frame's rectified cameras; ("",) for its image, or another frame's.
+
+    Of KITTI-360 the image is taken, or all around what is stitched with the fisheye cameras' images.
+    """
+    names = frame.camera_names if isinstance(frame, SurroundFrame) else ()
+    return names or ("",)

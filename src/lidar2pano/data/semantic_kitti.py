@@ -1,7 +1,7 @@
 """Data sets in SemanticKITTI's layout, simulated worlds among them.
 
 ROOT/sequences/<seq>/{velodyne/NNNNNN.bin, labels/NNNNNN.label, image_2/NNNNNN.png|jpg, camera_labels/NNNNNN.png,
-calib.txt, poses.txt}; of worlds also pano/, pano_labels/, pano_depth/ and pano_openings/ with NNNNNN.png.
+calib.txt, poses.txt}; of worlds also pano/, pano_labels/ and pano_depth/ with NNNNNN.png.
 ROOT/splits.json (split -> ["seq/NNNNNN", ...]), else SemanticKITTI's own splits hold.
 """
 
@@ -135,7 +135,7 @@ class SemanticKittiFrame(Frame):
             view = replace(VIEWS["panorama"], rows=image.shape[0], columns=image.shape[1])
         size = (view.rows, view.columns)
         _check(self.file("pano"), image, (*size, 3), np.uint8)
-        labels, steps, openings = (self._beside(part, size, dtype) for part, dtype in _PANORAMA_PARTS.items())
+        labels, steps = (self._beside(part, size, dtype) for part, dtype in _PANORAMA_PARTS.items())
         calib = self.folder / "calib.txt"
         return PanoramaGroundTruth(
             view=at_camera(view, read_calib(calib)) if has_camera(calib) else view,
@@ -143,7 +143,6 @@ class SemanticKittiFrame(Frame):
             valid=np.ones(size, dtype=bool),
             labels=labels,
             depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
-            openings=None if openings is None else openings.astype(np.float32) / 255,
         )
 
     @cached_property
@@ -182,7 +181,6 @@ class SemanticKittiFrame(Frame):
 _PANORAMA_PARTS: dict[str, type[np.generic]] = {
     "pano_labels": np.uint8,
     "pano_depth": np.uint16,
-    "pano_openings": np.uint8,
 }
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -21,7 +19,7 @@ from lidar2pano.formats.image_files import write_whole
 from lidar2pano.progress import working
 
 TOLERANCE = 1e-4  # of the difference between graph and torch; relative where an output is greater than 1
-README, NOISE = "README.md", "noise.npy"
+README = "README.md"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,10 +36,9 @@ class Exportable:
     inputs: tuple[Tensor, ...]
 
 
-def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray | None = None) -> list[Path]:
-    """Write ROLE.onnx for each part, the noise and a README with all tensors into a folder; return their paths.
+def export(parts: Mapping[str, Exportable], folder: Path) -> list[Path]:
+    """Write ROLE.onnx for each part and a README with all tensors into a folder; return their paths.
 
-    noise  (64, 64, 64) float32, periodic: the tile of a scene painter's solid noise.
     Raises InputError without the extra, for a network that cannot be exported, where a graph's outputs differ from
     torch's by more than TOLERANCE, and where a file cannot be written; in all cases but the last no file is written.
     """
@@ -55,10 +52,6 @@ def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray | No
             contents[f"{role}.onnx"] = compiled = proto.SerializeToString()
             differences[role] = compare(compiled, part, inputs)
             advance()
-    if noise is not None:
-        array = io.BytesIO()
-        np.save(array, noise)
-        contents[NOISE] = array.getvalue()
     contents[README] = readme(parts, differences).encode()
     return [write_whole(folder / name, partial(_write, data)) for name, data in contents.items()]
 
@@ -117,21 +110,15 @@ def readme(parts: Mapping[str, Exportable], differences: Mapping[str, float]) ->
     """Return the folder's README: the graphs, a row for each of their tensors, and how inputs are made of a scan."""
     graphs = [f"| `{role}.onnx` | {part.model} | {differences[role]:.0e} |" for role, part in parts.items()]
     tensors = [row for role, part in parts.items() for row in _tensor_rows(role, part)]
-    painter = "latent_painter" if any(part.model.startswith("latent-") for part in parts.values()) else "scene_painter"
     values = {
         "graphs": "\n".join(graphs),
         "tensors": "\n".join(tensors),
         "opset": str(OPSET),
-        "painter": _text(f"onnx_{painter}.md").rstrip(),
     }
-    text = _text("onnx_readme.md")
+    text = (files("lidar2pano.engines") / "onnx_readme.md").read_text(encoding="utf-8")
     for name, value in values.items():
         text = text.replace(f"{{{name}}}", value)
     return text
-
-
-def _text(name: str) -> str:
-    return (files("lidar2pano.engines") / name).read_text(encoding="utf-8")
 
 
 def _tensor_rows(role: str, part: Exportable) -> Iterator[str]:

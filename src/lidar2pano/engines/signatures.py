@@ -46,15 +46,6 @@ SIGNATURES: dict[str, Signature] = {
         },
         classes=("logits",),
     ),
-    "scene-painter": Signature(
-        inputs={
-            "inputs": "classes, depth and what is invented, framed (steps 5 and 6)",
-            "fine_noise": "solid noise on the picture's raster, wavelengths 0.0625, 0.125 and 0.5 m, framed (step 6)",
-            "shares": SHARES,
-            "tone": "brightness in red, green and blue, in [-1, 1]; 0 for the mean of the look",
-        },
-        outputs={"colour": COLOUR},
-    ),
     "latent-mean": Signature(
         inputs={"conditions": "classes, geometry and what is measured (step 5)", "shares": SHARES},
         outputs={"mean": "mean of the latents, on a raster four times coarser than the conditions'"},

@@ -15,12 +15,7 @@ from lidar2pano.losses.adversarial import (
     hinge_critic,
     hinge_generator,
 )
-from lidar2pano.losses.painting import (
-    PatchStatistics,
-    inside,
-    pooled,
-    streaks,
-)
+from lidar2pano.losses.painting import PatchStatistics, pooled
 from lidar2pano.losses.supervised import lovasz_softmax
 
 __all__ = [
@@ -31,8 +26,6 @@ __all__ = [
     "gradient_penalty",
     "hinge_critic",
     "hinge_generator",
-    "inside",
     "lovasz_softmax",
     "pooled",
-    "streaks",
 ]

@@ -1,11 +1,10 @@
-"""Losses of painted pictures and videos: pooled colours, streaks, statistics of patches, features and flow.
+"""Losses of painted pictures and videos: pooled colours, statistics of patches, features and flow.
 
 Patches  The Frechet distance as a loss. Between normal distributions the cheapest transport moves x to m2 + T (x - m1),
          where T = C1^-1/2 (C1^1/2 C2 C1^1/2)^1/2 C1^-1/2 (Dowson and Landau 1982; Olkin and Pukelsheim 1982), and its
          mean cost is the Frechet distance. Each painted patch is drawn to the transport's goal.
          Mathiasen and Hvilshoj (2020) differentiate the distance itself; with statistics over many batches
          (here moving averages) small batches will do.
-Streaks  Lines along the rows of a picture, on even surfaces: streaks on a road, slats in a pane.
 Videos   Wang et al. 2018, Video-to-Video Synthesis (arXiv:1808.06601), section 3, and the code published with it
          (https://github.com/NVIDIA/vid2vid, vid2vid_model_D.py), which decides points open in the paper. Each loss is
          a scalar, a mean over the batch, without any weight.
@@ -18,7 +17,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 from torch.nn import functional as F
-from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, max_pool2d
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
 from lidar2pano.geometry.rasters import warp
 from lidar2pano.losses.adversarial import feature_matching
@@ -135,40 +134,6 @@ def transport(source: Tensor, target: Tensor) -> Tensor:
     linear = inverse @ ((axes * middle.clamp(min=0).sqrt()) @ axes.T) @ inverse
     scales, directions = torch.linalg.eigh((linear + linear.T) / 2)
     return (directions * scales.clamp(0, MOST_STRETCH)) @ directions.T
-
-
-LENGTH_PX = 17  # of a mean along a row: free of texture, shorter than streaks
-STEP_PX = 2  # distance of compared rows
-NEARBY_PX = 9  # rows and columns around a painted line for one in the image
-EVEN = 0.03  # remaining difference of means in [-1, 1] of mere texture
-
-
-def streaks(painted: Tensor, image: Tensor, weight: Tensor) -> Tensor:
-    """Return the difference of means along rows to those STEP_PX above, beyond the nearby one of an image, and EVEN.
-
-    painted, image  (B, 3, H, W) in [-1, 1]; the mean over colours is compared.
-    weight          (B, H, W) in [0, 1] of each pixel. Returns the mean, 0 if nothing counts.
-    """
-    made, expected = (_changes(part) for part in (painted, image))
-    nearby = max_pool2d(expected, NEARBY_PX, 1, NEARBY_PX // 2)
-    excess = (made - nearby - EVEN).clamp(min=0)[:, 0]
-    share = weight[:, STEP_PX:]
-    return (excess * share).sum() / share.sum().clamp(min=1)
-
-
-def inside(share: Tensor, pixels: int) -> Tensor:
-    """Return (B, H, W): 1 if all pixels up to so many rows and columns away have a share of more than a half, else 0.
-
-    share  (B, H, W) in [0, 1]; beyond the edge of the picture nothing is known, and nothing said against.
-    """
-    outside = (share <= 0.5).to(torch.float32)[:, None]
-    return 1 - max_pool2d(outside, 2 * pixels + 1, 1, pixels)[:, 0]
-
-
-def _changes(image: Tensor) -> Tensor:
-    """Return (B, 1, H - STEP_PX, W): distance of the mean along each row from the mean along the row STEP_PX above."""
-    rows = avg_pool2d(image.mean(1, keepdim=True), (1, LENGTH_PX), 1, (0, LENGTH_PX // 2), count_include_pad=False)
-    return (rows[:, :, STEP_PX:] - rows[:, :, :-STEP_PX]).abs()
 
 
 def least_squares_critic(real: Outputs, fake: Outputs) -> Tensor:

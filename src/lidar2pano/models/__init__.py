@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-from typing import get_args, get_type_hints
-
 from torch import nn
 
 from lidar2pano.errors import InputError, closest
@@ -13,7 +10,6 @@ from lidar2pano.models.baselines import PatchGan, Pix2Pix, ScUnet
 from lidar2pano.models.frozen_features import ProjectedCritic
 from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.salsanext import SalsaNext, Titan, TitanCritic, TitanNext
-from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.models.sdnet import SdNet
 from lidar2pano.models.titan_pano import TitanPano
 from lidar2pano.models.vid2vid import ImageCritic, TemporalCritic, Vid2Vid, Vid2VidSingle
@@ -24,7 +20,6 @@ MODELS: dict[str, type[nn.Module]] = {
     "titan-critic": TitanCritic,
     "titan-next": TitanNext,
     "titan-pano": TitanPano,
-    "scene-painter": ScenePainter,
     "autoencoder": Autoencoder,
     "latent-painter": LatentPainter,
     "projected-critic": ProjectedCritic,
@@ -40,12 +35,8 @@ MODELS: dict[str, type[nn.Module]] = {
 
 
 def settings_of(network: type[nn.Module]) -> set[str]:
-    """Names of a network's settings: its parameters, and those of an unpacked TypedDict."""
-    names = network.__init__.__annotations__.keys() - {"return"}
-    if unpacked := inspect.getfullargspec(network.__init__).varkw:
-        (switches,) = get_args(get_type_hints(network.__init__)[unpacked])
-        names = names - {unpacked} | switches.__annotations__.keys()
-    return names
+    """Names of a network's settings: its parameters."""
+    return network.__init__.__annotations__.keys() - {"return"}
 
 
 def build(name: str, **settings: object) -> nn.Module:

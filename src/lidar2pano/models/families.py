@@ -25,7 +25,6 @@ ROLES: dict[str, str] = {
     "titan": "translator",
     "pix2pix": "translator",
     "scunet": "renderer",
-    "scene-painter": "painter",
     "latent-painter": "painter",
     "autoencoder": "autoencoder",
     "vid2vid": "painter",

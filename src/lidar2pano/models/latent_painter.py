@@ -25,10 +25,11 @@ from lidar2pano.geometry.rasters import likeliest, pad_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder
 from lidar2pano.models.blocks import CircularConv
-from lidar2pano.models.scene_painter import QUALITIES, LookPainter
+from lidar2pano.models.stream_painter import QUALITIES
+from lidar2pano.models.world_noise import world_noise
 from lidar2pano.scene.depth import FAR_M, depth_code
 from lidar2pano.scene.record import Scene
-from lidar2pano.scene.surfaces import cylinder_points, normals, slopes, world_columns
+from lidar2pano.scene.surfaces import cylinder_points, normals, slopes
 
 FOLD = 4  # pixels of the scene's raster per pixel of the latents, in rows and in columns
 HEIGHT_M = 4.0  # of a surface above the road, per unit of its condition
@@ -39,10 +40,6 @@ REMISSION = 23  # of a measured pixel, in MEASUREMENT
 SIDEWAYS = 19  # a mirror changes the sign of this condition
 CONDITIONS = 26
 SKY = COMMON15.id_of("sky")
-SKY_OCTAVE = 1 << 10  # the sky's noise hangs on directions: it has an octave of its own
-FACTORS = (0x1F0A2BE71D163FA1, 0x3C6EF372FE94F82B, 0x510E527FADE682D1, 0x1B873593CC9E2D51)  # odd, of the hashed numbers
-MIXED = ((30, -0x40A7B892E31B1A47), (27, -0x6B2FB644ECCEEE15))  # splitmix64's shifts and factors (Steele et al. 2014)
-UNIFORM_BITS = 24
 STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
 WAVES = 32  # of the embedding of times, as many sines as cosines
 FASTEST = 1e3  # angular frequency of the last of them, for times in [0, 1]; the first one's is 1
@@ -84,59 +81,6 @@ def mirrored(conditions: Tensor) -> Tensor:
     flipped = conditions.flip(-1)
     flipped[..., SIDEWAYS, :, :] *= -1
     return flipped
-
-
-def world_noise(scene: Scene, channels: int, seed: int = 0) -> Tensor:
-    """Return normal noise (1, channels, H / FOLD, W / FOLD) float32, fixed to the surfaces of the world.
-
-    It is a function of the world's cell around the middle of a pixel of the latents: a cube whose edge is
-    a power of two metres, half to once a pixel's width at that distance; in the sky of the direction. A drive thus
-    keeps its textures.
-    scene  a single one;  seed: another one gives another picture.
-    """
-    view, device = scene.view, scene.depth_m.device
-    middle = (slice(None), slice(FOLD // 2, None, FOLD), slice(FOLD // 2, None, FOLD))
-    radius_m, z_m = (part[middle][0].double() for part in cylinder_points(scene.depth_m, view))
-    direction, place = world_columns(view, scene.T_world_sensor, device)
-    pose_z = 0.0 if scene.T_world_sensor is None else float(scene.T_world_sensor[2, 3])
-    direction = direction[:, FOLD // 2 :: FOLD]
-    x, y = (place[axis] + radius_m * direction[axis] for axis in (0, 1))
-    octave = (radius_m.clamp(min=1e-3) * FOLD / view.focal_px).log2().floor()
-    cells = [(part / octave.exp2()).floor() for part in (x, y, z_m + view.origin[2] + pose_z)]
-    azimuth = torch.atan2(direction[1], direction[0]) * view.focal_px / FOLD
-    rows = torch.arange(len(radius_m), device=device, dtype=torch.float64)[:, None].expand_as(radius_m)
-    sky = likeliest(scene.probabilities)[middle][0] == SKY
-    celestial = (azimuth.round().expand_as(rows), rows, torch.zeros_like(rows), torch.full_like(rows, SKY_OCTAVE))
-    numbers = [
-        torch.where(sky, of_sky, of_surface).long()
-        for of_sky, of_surface in zip(celestial, (*cells, octave), strict=True)
-    ]
-    key = sum((number * factor for number, factor in zip(numbers, FACTORS, strict=True)), start=numbers[0] * 0 + seed)
-    return _normal(_hashed(key), channels)[None]
-
-
-def _hashed(key: Tensor) -> Tensor:
-    """Mix the bits of int64 numbers of any shape."""
-    for shift, factor in MIXED:
-        key = (key ^ _shifted(key, shift)) * factor
-    return key ^ _shifted(key, 31)
-
-
-def _shifted(key: Tensor, bits: int) -> Tensor:
-    """Shift int64 numbers to the right as if they were unsigned."""
-    return (key >> bits) & ((1 << (64 - bits)) - 1)
-
-
-def _normal(key: Tensor, channels: int) -> Tensor:
-    """Draw normal numbers (channels, h, w) float32 by hashed int64 keys (h, w), after Box and Muller (1958)."""
-    pairs = -(-channels // 2)
-    number = torch.arange(1, pairs + 1, device=key.device)[:, None, None] * FACTORS[1]
-    hashed = _hashed(key + number)
-    first, second = (_shifted(part, 64 - UNIFORM_BITS).double() for part in (hashed, hashed << UNIFORM_BITS))
-    scale = 2.0**-UNIFORM_BITS
-    radius = torch.sqrt(-2 * torch.log((first + 0.5) * scale))
-    angle = 2 * math.pi * scale * second
-    return torch.cat([radius * angle.cos(), radius * angle.sin()])[:channels].float()
 
 
 class ModulatedResidual(nn.Module):
@@ -336,7 +280,7 @@ class LatentDecoder(nn.Module):
         return (latents - mean) / deviation
 
 
-class LatentPainter(LookPainter):
+class LatentPainter(nn.Module):
     """Mean network, flow network, and the decoder of an Autoencoder; a StreamPainter.
 
     looks             their names, the default first.
@@ -357,9 +301,10 @@ class LatentPainter(LookPainter):
         flow: Sequence[Sequence[int]] = ((64, 112, 160), (1, 2, 4)),
         code: int = 128,
     ) -> None:
-        super().__init__(looks)
+        super().__init__()
         if steps < 1:
             raise InputError(f"a picture takes at least one step, not {steps}")
+        self.looks, self.look = tuple(looks), looks[0]
         self.latents, self.steps, self.guidance, self.seed = latents, steps, guidance, 0
         self.mean = MeanNetwork(len(self.looks), latents, mean[0], mean[1], code)
         self.flow = FlowNetwork(len(self.looks), latents, flow[0], flow[1], code)
@@ -371,6 +316,15 @@ class LatentPainter(LookPainter):
         painter = copy.copy(self)
         painter.steps, painter.seed = QUALITIES[quality] or self.steps, seed
         return painter
+
+    def look_shares(self, look: str) -> list[float]:
+        """Return the share of each look in a name, "A" or "A+B" (their mean); InputError for an unknown name."""
+        names = [name.strip() for name in (look or self.look).split("+")]
+        for name in names:
+            if name not in self.looks:
+                choices = ", ".join(self.looks)
+                raise InputError(f"the painter knows no look {name!r}; it knows {choices}")
+        return [names.count(look) / len(names) for look in self.looks]
 
     def parts(self) -> dict[str, nn.Module]:
         """Return the networks that paint, by name."""
@@ -426,7 +380,7 @@ class LatentPainter(LookPainter):
         """Paint a scan; arguments and answer as of StreamPainter. The noise hangs on the world."""
         conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
         shares = torch.tensor([self.look_shares(look)], device=conditions.device)
-        noise = world_noise(scene, self.latents, self.seed)
+        noise = world_noise(scene, self.latents, FOLD, self.seed)
         clues = self.clues(*scene.photographed) if scene.photographed else None
         return None, self.decoder(self.latents_of(conditions, shares, noise, clues)).clamp(-1, 1)
 

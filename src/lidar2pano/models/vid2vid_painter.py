@@ -127,7 +127,7 @@ class Vid2VidPainter(nn.Module):
         return cls(cast("Vid2Vid", generator), cast("Vid2VidSingle | None", single), finer=finer)
 
     def paint(self, past: Past | None, scene: Scene, look: str = "") -> tuple[Past, Tensor]:  # noqa: ARG002 it has one
-        """Paint the next panorama, from its classes alone; as of models.painter.StreamPainter."""
+        """Paint the next panorama, from its classes alone; as of StreamPainter."""
         grow, shrink = self.finer.as_integer_ratio()
         past, image = self.follow(past, upsample_classes(_shrunk(scene.probabilities, shrink), grow))
         grow, shrink = (TWICE / self.finer).as_integer_ratio()

@@ -20,7 +20,7 @@ from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.families import FRONT_VIEW, role
 from lidar2pano.models.latent_painter import LatentPainter
-from lidar2pano.models.scene_painter import StreamPainter
+from lidar2pano.models.stream_painter import StreamPainter
 from lidar2pano.models.titan_pano import FrontAllAround
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter

@@ -26,7 +26,7 @@ from lidar2pano.models.card import Card
 from lidar2pano.models.families import BEST, weight_files
 from lidar2pano.models.hub import Upload, hub_folder, push_family, write_family
 from lidar2pano.models.latent_painter import LatentPainter
-from lidar2pano.models.scene_painter import LookPainter, StreamPainter, check_quality
+from lidar2pano.models.stream_painter import StreamPainter, check_quality
 from lidar2pano.models.titan_pano import FrontAllAround
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.assembly import load_parts
@@ -149,9 +149,9 @@ class Pipeline:
 
     def in_look(self, look: str) -> Pipeline:
         """Return the pipeline that paints a look, "A" or "A+B"; InputError where the painter lacks it."""
-        if not isinstance(self.painter, LookPainter):
+        if not isinstance(self.painter, LatentPainter):
             raise InputError(
-                f"no look {look!r}: these weights paint one look only; choose a scene painter's, or name a painter's"
+                f"no look {look!r}: these weights paint one look only; choose a latent painter's, or name a painter's"
                 f" file {look}.safetensors"
             )
         self.painter.look_shares(look)

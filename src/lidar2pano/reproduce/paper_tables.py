@@ -89,7 +89,7 @@ ROWS: dict[str, PaperRow] = {
         miou=54.8,
         source="its follow-up",
     ),
-    "titan-pano": PaperRow(name="titan-pano -> scene-painter", parts=("titan-pano", "scene-painter"), segments=True),
+    "titan-pano": PaperRow(name="titan-pano -> latent painter", parts=("titan-pano", "latent-painter"), segments=True),
     "titan-pano-vid2vid": PaperRow(name="titan-pano -> Vid2Vid", parts=("titan-pano", "vid2vid"), segments=True),
     "ceiling": PaperRow(
         name="ground-truth labels -> Vid2Vid (oracle)",

@@ -30,7 +30,6 @@ from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import load
 from lidar2pano.reproduce.images import write_images
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
-from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.video import VideoOptions
@@ -44,8 +43,14 @@ MOST_BUDGET = 1e7  # seconds, minutes, hours or steps
 PUBLISHED_SEGMENTER = "salsanext-published"  # its recipe at full length
 # Packages of the extra `train` by importing part; "" stands for every part.
 PACKAGES = {"": ("lightning_fabric", "tensorboard", "matplotlib"), "vid2vid": ("cv2",)}
-PACKAGES["scene-painter"] = ("efficientnet_lite_pytorch",)
-IMAGES_ALONE = {"scunet", "pix2pix-rgb", "titan-no-segments"}  # trained on the camera's colours, not on its classes
+PACKAGES["autoencoder"] = ("efficientnet_lite_pytorch",)
+PAINTING = ("autoencoder", "latent-painter")  # in this order, behind a translator
+IMAGES_ALONE = {
+    *PAINTING,
+    "scunet",
+    "pix2pix-rgb",
+    "titan-no-segments",
+}  # trained on the camera's colours, not on its classes
 COPIES = 5  # of a network on disk: its checkpoint with Adam's two moments, its best and its latest weights
 GIB = 2**30
 
@@ -86,7 +91,8 @@ class Plan:
         """The networks of all rows, in an order of training."""
         used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "oracle")
         first = [] if self.segmenter else [SEGMENTER]
-        return [*first, *sorted(used, key=lambda part: part == "scene-painter")]  # trained behind a translator
+        painting = PAINTING if used.keys() & set(PAINTING) else ()
+        return [*first, *(part for part in used if part not in PAINTING), *painting]
 
     def run(self, part: str) -> Path:
         """Return the folder of a network's training."""
@@ -110,11 +116,12 @@ class Plan:
         train = tuple(name for name in recipe.data.train if name in names) or ("train",)
         recipe = replace(recipe, data=replace(recipe.data, train=train, val=(SELECTION,)))
         weights = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
+        weights["autoencoder"] = files.get("autoencoder")
         options: dict[str, Any] = {
             name: str(file) for name, file in weights.items() if file and hasattr(recipe.options, name)
         }
-        if isinstance(recipe.options, ScenePaintingOptions):
-            options["cache"] = str(self.out / "painting-frames")
+        if hasattr(recipe.options, "cache"):
+            options["cache"] = str(self.out / "sectors")
         if SEGMENTER in files and hasattr(recipe.options, "segments"):
             options["segments"] = "predicted"  # as in the paper's section 3.1
         if isinstance(recipe.options, VideoOptions):
@@ -280,9 +287,9 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
     from lidar2pano.train.engine import train
 
     recipe = plan.recipe(part, files)
-    for option in ("translator", "segmenter"):
-        if part == "scene-painter" and not getattr(recipe.options, option):
-            raise InputError(f"the painter is trained behind a {option}, and there is none")
+    for option in ("translator", "segmenter", "autoencoder"):
+        if part == "latent-painter" and not getattr(recipe.options, option):
+            raise InputError(f"the painter is trained behind its {option}, and there is none")
     log.info("training %s", recipe.name)
     folder = train(recipe, training_data(plan), plan.run(part), device=plan.device, devices=plan.devices)
     return folder / f"{_released(part)}.safetensors"
@@ -292,8 +299,10 @@ def _released(part: str) -> str:
     """Return the name of a part's network within its task."""
     if part == SEGMENTER:
         return "segmenter"
-    if part in ("scene-painter", "vid2vid"):
+    if part in ("latent-painter", "vid2vid"):
         return "painter"
+    if part == "autoencoder":
+        return part
     return "renderer" if part in ("scunet", "pix2pix-rgb", "titan-no-segments") else "translator"
 
 

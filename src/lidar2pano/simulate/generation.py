@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png, write_text, write_whole
+from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_text, write_whole
 from lidar2pano.formats.json_files import front_matter
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.layout.street_world import World, build_world
@@ -26,7 +26,7 @@ from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole
 from lidar2pano.simulate.scanner import Sweep, passing_time, sweep
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.raycast import Scene
-from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS, IN_OPENINGS, OBJECT_TYPE_IDS
+from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS
 from lidar2pano.simulate.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.settings import (
     FORMAT,
@@ -50,7 +50,7 @@ SemanticKITTI's, so that its readers read it; `splits.json` names the frames of 
 """
 FOLDERS = {
     "camera": "| `image_2/`, `camera_labels/` | the camera's image, and its classes as Cityscapes' train ids |\n",
-    "panorama": "| `pano/`, `pano_labels/`, `pano_depth/`, `pano_openings/` | all around: RGB, ids of common-15, depth"
+    "panorama": "| `pano/`, `pano_labels/`, `pano_depth/` | all around: RGB, ids of common-15, depth"
     " (metres x 256), windows and doors |\n",
 }
 Writer = Callable[[Path], object]
@@ -188,20 +188,17 @@ def _camera(rendered: RenderedImage) -> list[Writer]:
 def _panorama(rendered: RenderedImage) -> list[Writer]:
     ids = COMMON15_IDS[rendered.object_type]
     depth_m = np.where(np.isfinite(rendered.distance), rendered.distance, 0)
-    building = rendered.object_type == OBJECT_TYPE_IDS["building"]
-    openings = (building & np.isin(rendered.material, IN_OPENINGS)).astype(np.uint8) * 255
     return [
         lambda path: write_png(path, rendered.image),
         lambda path: write_palette(path, ids),
         lambda path: write_depth(path, depth_m),
-        lambda path: write_ids(path, openings),
     ]
 
 
 def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
-    """pano, pano_labels, pano_depth and pano_openings of the first view; with "-2" of a further "panorama/2"."""
+    """pano, pano_labels and pano_depth of the first view; with "-2" of a further "panorama/2"."""
     part = "" if first else "-" + view.removeprefix("panorama/")
-    return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth", "_openings"))
+    return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth"))
 
 
 class FrameRange(NamedTuple):

@@ -10,16 +10,20 @@ import hashlib
 import io
 import math
 import os
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from PIL import Image
+from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, SampleIndex
 from lidar2pano.data.labelled_images import LabelledImage
@@ -28,6 +32,9 @@ from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.data.photographs import as_signed, cameras
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.torch_files import read_tensors
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
@@ -46,11 +53,11 @@ from lidar2pano.models.latent_painter import (
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.scene.depth import FAR_M
 from lidar2pano.scene.record import Scene
-from lidar2pano.train.painting_frames import kept_tensors, look_of, made_by
 from lidar2pano.views import FULL_TURN, View
 
 ASSUMED_FIELD_DEG = 50  # from the left to the right edge of a photograph without calibration (Cityscapes': 48.7)
 FORM = 1  # raised when the files of the same frames hold something else
+SCENES = 8  # raised when scenes of the same networks are others
 SECTOR_DEG = 100  # width of a camera's sector, about: a multiple of STRIDE columns
 QUALITY = 95  # of photographs in the files, as JPEG without subsampled colours
 BYTE = 255  # probabilities, remissions and shares are kept in a byte
@@ -116,7 +123,6 @@ class LatentFrames:
             (number, camera, self._look(frame, looks))
             for number, frame in enumerate(self.frames)
             for camera in cameras(frame)
-            if is_rectified(frame, camera)
         ]
         self._moments: dict[int, list[int]] = {}
         for index, (number, _, _) in enumerate(self.places):
@@ -326,17 +332,12 @@ def level_camera(width: int, height: int) -> Calibration:
     return Calibration(K=K, T_camera_lidar=T_camera_lidar, size=(width, height))
 
 
-def is_rectified(frame: Frame, camera: str) -> bool:
-    """Return whether a frame's camera is no lens; a frame with one image or a panorama has none."""
-    return not isinstance(frame, SurroundFrame) or isinstance(frame.cameras[camera].calibration, Calibration)
-
-
 def calibrated_image(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np.ndarray | None]:
     """Return a camera's image (h, w, 3) uint8, its calibration, and its vehicle's pixels, (h, w) bool, or None."""
     if isinstance(frame, LabelledImage):
         (image,) = frame.require("image")
         return image, level_camera(image.shape[1], image.shape[0]), None
-    if not isinstance(frame, SurroundFrame):
+    if not (camera and isinstance(frame, SurroundFrame)):
         image, calibration = frame.require("image", "calibration")
         return image, calibration, None
     taken = frame.cameras[camera]
@@ -385,3 +386,31 @@ def packed(mask: Tensor) -> Tensor:
 def unpacked(bits: Tensor, columns: int) -> Tensor:
     """Return a mask (H, columns) bool from its bits."""
     return torch.from_numpy(np.unpackbits(bits.numpy(), axis=1, count=columns)).bool()
+
+
+def kept_tensors(file: Path, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Return the tensors of a file of a cache; the first use makes it."""
+    if not file.is_file():
+        made = make()
+        write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
+    return read_tensors(file, "remove it, and it is made again")
+
+
+def made_by(view: View, *weights: str) -> str:
+    """Return what the files of frames hang on, beside the frames: raster and networks, as one hexadecimal number."""
+    digest = hashlib.sha256(f"{SCENES} {view}".encode())
+    for file in weights:
+        digest.update(bytes.fromhex(sha256_of(file)))
+    return digest.hexdigest()
+
+
+def look_of(frame: Frame) -> str:
+    """Return the look of a simulated frame; "" for a real one."""
+    return _look_of_data_set(frame.root) if frame.root else ""
+
+
+@cache
+def _look_of_data_set(root: Path) -> str:
+    """Return `look_of` all frames of a data set: its world.json is read once, not once per frame."""
+    file = root / "world.json"
+    return str(read_json(file).get("look", "")) if file.is_file() else ""

@@ -34,7 +34,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     "autoencoding": ("autoencoder", "autoencoder-mini"),
     "latent_painting": ("latent-painter", "latent-painter-mini"),
     "latent_texture": ("latent-texture", "latent-texture-mini"),
-    "painter_recipes": ("scene-painter", "scene-painter-mini", "fast-painter", "fast-painter-mini"),
     "front": (
         "titan",
         "titan-mini",

@@ -15,7 +15,6 @@ from lidar2pano.train.latent_painting import LatentPainting
 from lidar2pano.train.latent_texture import LatentTexture
 from lidar2pano.train.panorama import PanoramaTranslation
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.scene_painting import ScenePainting
 from lidar2pano.train.segmentation import Segmentation
 from lidar2pano.train.task import Task
 from lidar2pano.train.video import VideoPainting
@@ -33,7 +32,6 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "autoencoding": Autoencoding,
     "latent-painting": LatentPainting,
     "latent-texture": LatentTexture,
-    "scene-painting": ScenePainting,
     "video": VideoPainting,
 }
 

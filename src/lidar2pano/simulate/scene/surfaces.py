@@ -111,7 +111,6 @@ MATERIALS: dict[str, Material] = {
 }
 
 MATERIAL_IDS: dict[str, int] = {name: index for index, name in enumerate(MATERIALS)}
-IN_OPENINGS = [MATERIAL_IDS[name] for name in ("pane", "door")]
 """Of the windows and doors of buildings."""
 
 

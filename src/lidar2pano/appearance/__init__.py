@@ -1,1 +1,0 @@
-"""Invention: how things may look that no scan shows. Only painters read it; no output but colour depends on it."""
