@@ -7,6 +7,8 @@
 #   FORM=        the recipes' full size, for a GPU (default -mini: two CPU cores)
 #   MINUTES=1.5  each stage takes so many times as long (default 1)
 #   TOWNS=1000   how many towns are simulated (default 60)
+#   PHOTOGRAPHS= splits with images that teach the painter of `kitti-mini`: "train,FOLDER:split,..." (default train)
+#   CLEAN=       likewise of `world`, of licences that allow any use: PandaSet, DGP (default: of towns alone)
 # For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there.
 # The weights of version 0.1.0 were not made by this script but stage by stage, by earlier scripts that are in the history
 # up to b3e012f: with networks pruned, averaged and finished between stages.
@@ -34,6 +36,18 @@ family() { # NAME SEGMENTER TRANSLATOR PAINTER DATA SPLIT LICENCE
   python "$here/release_family.py" "$out/$1" "$1" "$out/$1.json" --licence "$7"
 }
 
+# Painters learn from photographs, and from towns in their own looks what no camera sees: an autoencoder, then mean and flow
+# of its latents, then texture. runs/stages/ says what made the released ones.
+painter() { # NAME DATA PHOTOGRAPHS SEGMENTER TRANSLATOR
+  local name=$1 data=$2 networks=(options.segmenter="$4" options.translator="$5")
+  local set=(data.train="$3,$day:all,$pictures" training.validate_minutes=0)
+  stage "$name-pictures" autoencoder "$data" 70 "${set[@]}" options.perceptual=0 options.adversarial=0
+  networks+=(options.autoencoder="$(weights "$name-pictures" autoencoder)")
+  stage "$name-latents" latent-painter "$data" 240 "${set[@]}" "${networks[@]}"
+  stage "$name-painter" latent-texture "$data" 95 "${set[@]}" "${networks[@]}" \
+    networks.painter.start="$(weights "$name-latents" painter)"
+}
+
 # Towns. Scans alone are cheap; pictures all around cost four seconds a frame on two cores. Nothing learns from `test`.
 world scans --sequences "$towns" --frames 12 --hz 1.5 --seed 1 --save scans
 world centre-scans --place centre --sequences "$towns" --frames 12 --hz 1 --seed 12201 --save scans
@@ -52,21 +66,14 @@ sensors=$(printf "$out/towns/%s-scans:all," pandar64 os1-128 hdl32e vlp16)
 looks=$(printf "$out/towns/%s:all," overcast autumn evening centre pandar64-day)
 scans=$out/towns/centre-scans:all,${sensors%,} pictures=${looks%,}
 
-# Family `world`: from simulated data alone. A segmenter is taught by one with twice the arithmetic; a painter learns
-# with norms of each batch, then with their statistics fixed, as the pipeline uses them.
+# Family `world`: simulated data, and photographs of CLEAN. A segmenter is taught by one with twice the arithmetic.
 any_direction=(options.rotation_deg=180 options.augment_probability=0.4 training.validate_minutes=0)
-unread=networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle,person
-painting=("$unread" options.invented_probability=0.5 training.validate_minutes=0)
-fixed=(options.fixed_norms=true networks.painter.optimizer.rate=0.0006)
 stage world-wide release-segmenter "$out/towns/scans" 90 data.train="all,$scans" "${any_direction[@]}"
 stage world-segmenter fast-segmenter "$out/towns/scans" 45 data.train="all,$scans" "${any_direction[@]}" \
   options.teacher="$(weights world-wide segmenter)"
 stage world-translator release-translator "$day" 75 data.train="all,$pictures" training.validate_minutes=0 \
   options.segmenter="$(weights world-segmenter segmenter)"
-inputs=(options.segmenter="$(weights world-segmenter segmenter)" options.translator="$(weights world-translator translator)")
-stage world-scene scene-painter "$day" 60 data.train="all,$pictures" "${inputs[@]}" "${painting[@]}"
-stage world-painter scene-painter "$day" 120 data.train="all,$pictures" "${inputs[@]}" "${painting[@]}" "${fixed[@]}" \
-  networks.painter.start="$(weights world-scene painter)"
+painter world "$day" "${CLEAN:-all}" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)"
 family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
   "$(weights world-painter painter)" "$out/towns/test" all Apache-2.0
 
@@ -82,16 +89,6 @@ stage wide-translator release-translator "$kitti" 75 data.train="$real" training
   networks.translator.start="$(weights world-translator translator)"
 stage translator fast-translator "$kitti" 90 data.train="$real" training.validate_minutes=0 "$labels" \
   options.teacher="$(weights wide-translator translator)" options.elsewhere_probability=0.35
-inputs=("$labels" options.translator="$(weights translator translator)")
-
-# Its painter learns from photographs (PHOTOGRAPHS: splits with images, "train,FOLDER:split,..."), and from towns in their own
-# looks what no camera sees. runs/stages/ keeps the stage `pictures`, for whoever goes on from there.
-photographs=(data.train="${PHOTOGRAPHS:-train}" training.validate_minutes=0)
-everywhere=(data.train="${PHOTOGRAPHS:-train},$day:all,$pictures" training.validate_minutes=0)
-stage pictures autoencoder "$kitti" 70 "${photographs[@]}" options.perceptual=0 options.adversarial=0
-inputs+=(options.autoencoder="$(weights pictures autoencoder)")
-stage latents latent-painter "$kitti" 240 "${everywhere[@]}" "${inputs[@]}"
-stage painter latent-texture "$kitti" 95 "${everywhere[@]}" "${inputs[@]}" \
-  networks.painter.start="$(weights latents painter)"
-family kitti-mini "$(weights segmenter segmenter)" "$(weights translator translator)" "$(weights painter painter)" \
+painter kitti "$kitti" "${PHOTOGRAPHS:-train}" "$(weights segmenter segmenter)" "$(weights translator translator)"
+family kitti-mini "$(weights segmenter segmenter)" "$(weights translator translator)" "$(weights kitti-painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0

@@ -119,26 +119,27 @@ def upsample_classes(scores: Tensor, factor: int, chunk: int = 1 << 14, least: f
     right_ids = ids.roll(-1, 1)
     border = (ids[:-1] != ids[1:]) | (ids[:-1] != right_ids[:-1]) | (ids[:-1] != right_ids[1:])  # between four pixels
     enlarged = ids[:, None, :, None].repeat(1, factor, 1, factor)
-    pixels, places = scores[0].flatten(1), _between_two(factor)
+    pixels, (following, number, share) = scores[0].flatten(1), _between_two(factor, ids.device)
+    lower_share, right_share = share[:, None, None, None], share[:, None, None]
     for row, column in zip(*(part.split(chunk) for part in border.nonzero(as_tuple=True)), strict=True):
         rows = [(row + step).clamp(0, height - 1) * width for step in (-1, 0)]
-        columns = column, (column + 1) % width
+        columns = torch.stack([column, (column + 1) % width])
         corners = pixels.index_select(1, torch.cat([first + second for first, second in product(rows, columns)]))
         corners = corners.float()
         corners = corners.clamp_(min=least).log_() if least else corners
         upper, lower = corners.unflatten(1, (2, 2, -1)).unbind(1)
-        for down, i, row_share in places:
-            left, right = torch.lerp(upper, lower, row_share).unbind(1)
-            for across, j, share in places:
-                score = torch.lerp(left, right, share)[None, :, None]
-                enlarged[row + down, i, columns[across], j] = likeliest(score)[0, 0]
+        left, right = torch.lerp(upper, lower, lower_share).unbind(2)  # (factor, C, N)
+        score = torch.lerp(left[:, None], right[:, None], right_share)  # (factor, factor, C, N)
+        place = row + following[:, None, None], number[:, None, None], columns[following], number[:, None]
+        enlarged[place] = likeliest(score.flatten(0, 1)[:, :, None]).view(factor, factor, -1)
     return enlarged[1:-1].reshape(height * factor, width * factor)
 
 
-def _between_two(factor: int) -> list[tuple[int, int, float]]:
+def _between_two(factor: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     """Return enlarged pixels between the middles of two: their pixel (0, 1), number there, and share of the way."""
-    shares = [(place + 0.5) / factor - 0.5 for place in range(factor)]  # of the previous pixel (below 0) or the next
-    return [(int(share < 0), place, share % 1) for place, share in enumerate(shares)]
+    number = torch.arange(factor, device=device)
+    share = (number + 0.5) / factor - 0.5  # of the previous pixel (below 0) or the next
+    return (share < 0).long(), number, share % 1
 
 
 def warp(

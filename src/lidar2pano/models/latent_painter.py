@@ -13,15 +13,15 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Self, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import interpolate, layer_norm, max_pool2d, pixel_unshuffle, silu
+from torch.nn.functional import interpolate, layer_norm, linear, max_pool2d, pixel_unshuffle, silu
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.rasters import likeliest, pad_azimuth
+from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder
 from lidar2pano.models.blocks import CircularConv
@@ -57,7 +57,7 @@ def conditions_of(scene: Scene) -> Tensor:
     The last one is the elevation. An absent group is 0 in all its channels.
     """
     depth_m, view, device = scene.depth_m.float(), scene.view, scene.depth_m.device
-    surface = (likeliest(scene.probabilities) != SKY).float()[:, None]
+    surface = (scene.ids != SKY).float()[:, None]
     radius_m, z_m = cylinder_points(depth_m, view)
     height = ((z_m + scene.viewpoint_m[:, None, None]) / HEIGHT_M).clamp(*HEIGHTS)
     measured, present = scene.measured.float()[:, None], torch.ones_like(surface)
@@ -86,7 +86,8 @@ def mirrored(conditions: Tensor) -> Tensor:
 class ModulatedResidual(nn.Module):
     """Two convolutions behind pixel-wise layer norms and SiLU; the second norm is scaled and shifted by a code.
 
-    At first it is nearly an identity: (B, C, H, W), code (B, K) -> (B, C, H, W).
+    At first it is nearly an identity: (B, C, H, W), scale and shift (B, C, 1, 1) -> (B, C, H, W). A ConditionedUNet
+    computes the modulations (B, K) -> (B, 2C) of all of its blocks at once.
     """
 
     def __init__(self, width: int, code: int) -> None:
@@ -96,31 +97,18 @@ class ModulatedResidual(nn.Module):
         self.modulation = nn.Linear(code, 2 * width)
         nn.init.normal_(self.second.weight, std=FAINT)
 
-    def forward(self, x: Tensor, code: Tensor) -> Tensor:
-        """Add the residual."""
-        scale, shift = self.modulation(code)[..., None, None].chunk(2, 1)
-        hidden = self.first(silu(pixel_norm(x, self.norm)))
+    def forward(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
+        """Add the residual. Columns of the other end are put to it once, for both convolutions."""
+        ends = self.first.reach + self.second.reach
+        hidden = self.first(silu(pixel_norm(pad_azimuth(x, ends), self.norm)), has_ends=True)
         hidden = torch.addcmul(shift.to(hidden.dtype), pixel_norm(hidden), 1 + scale.to(hidden.dtype))
-        return x + self.second(silu(hidden))
+        return x + self.second(silu(hidden), has_ends=True)
 
 
 def pixel_norm(x: Tensor, weight: Tensor | None = None) -> Tensor:
     """Normalise each pixel of (B, C, H, W) over its channels; channels last in memory stays so."""
     weight = None if weight is None else weight.to(x.dtype)
     return layer_norm(x.movedim(1, 3), (x.shape[1],), weight).movedim(3, 1)
-
-
-class Blocks(nn.ModuleList):
-    """Residual blocks, one after another."""
-
-    def __init__(self, width: int, count: int, code: int) -> None:
-        super().__init__([ModulatedResidual(width, code) for _ in range(count)])
-
-    def forward(self, x: Tensor, code: Tensor) -> Tensor:
-        """(B, width, H, W), code (B, K) -> the same shape."""
-        for block in self:
-            x = block(x, code)
-        return x
 
 
 class ConditionedUNet(nn.Module):
@@ -139,9 +127,12 @@ class ConditionedUNet(nn.Module):
         self.input = CircularConv(inputs, fine) if inputs else None
         self.down = nn.ModuleList([CircularConv(fine, middle, stride=2), CircularConv(middle, coarse, stride=2)])
         self.up = nn.ModuleList([CircularConv(middle, fine), CircularConv(coarse, middle)])
-        self.before = nn.ModuleList([Blocks(width, count, code) for width, count in zip(widths, blocks, strict=True)])
-        self.after = nn.ModuleList(
-            [Blocks(width, count, code) for width, count in zip(widths[:2], blocks[:2], strict=True)]
+        levels = list(zip(widths, blocks, strict=True))
+        self.before, self.after = (
+            nn.ModuleList(
+                [nn.ModuleList([ModulatedResidual(width, code) for _ in range(count)]) for width, count in part]
+            )
+            for part in (levels, levels[:2])
         )
         self.last = CircularConv(fine, outputs)
         nn.init.normal_(self.last.weight, std=FAINT)
@@ -154,14 +145,27 @@ class ConditionedUNet(nn.Module):
         x = self.fold(pixel_unshuffle(conditions, FOLD))
         if self.input is not None:
             x = x + self.input(inputs)
-        levels = []
+        levels, modulations = [], self._modulations(code)
         for level, blocks in enumerate(self.before):
-            x = blocks(self.down[level - 1](x) if level else x, code)
+            x = self.down[level - 1](x) if level else x
+            for block in cast(nn.ModuleList, blocks):
+                x = block(x, next(modulations), next(modulations))
             levels.append(x)
         for level in (1, 0):
             x = self.up[level](interpolate(x, scale_factor=2.0)) + levels[level]
-            x = self.after[level](x, code)
+            for block in cast(nn.ModuleList, self.after[level]):
+                x = block(x, next(modulations), next(modulations))
         return self.last(silu(pixel_norm(x)))
+
+    def _modulations(self, code: Tensor) -> Iterator[Tensor]:
+        """Yield scale and shift (B, C, 1, 1) of each block, in the order of their use."""
+        parts = (*self.before, *reversed(self.after))
+        layers = [
+            cast(ModulatedResidual, block).modulation for blocks in parts for block in cast(nn.ModuleList, blocks)
+        ]
+        widths = [layer.out_features // 2 for layer in layers for _ in range(2)]
+        weight, bias = torch.cat([layer.weight for layer in layers]), torch.cat([layer.bias for layer in layers])
+        yield from linear(code, weight, bias)[..., None, None].split(widths, 1)
 
 
 class MeanNetwork(nn.Module):

@@ -7,7 +7,6 @@ import math
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.rasters import likeliest
 from lidar2pano.labels import COMMON15
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import cylinder_points, world_columns
@@ -39,7 +38,7 @@ def world_noise(scene: Scene, channels: int, fold: int, seed: int = 0) -> Tensor
     cells = [(part / octave.exp2()).floor() for part in (x, y, z_m + view.origin[2] + pose_z)]
     azimuth = torch.atan2(direction[1], direction[0]) * view.focal_px / fold
     rows = torch.arange(len(radius_m), device=device, dtype=torch.float64)[:, None].expand_as(radius_m)
-    sky = likeliest(scene.probabilities)[middle][0] == SKY
+    sky = scene.ids[middle][0] == SKY
     celestial = (azimuth.round().expand_as(rows), rows, torch.zeros_like(rows), torch.full_like(rows, SKY_OCTAVE))
     numbers = [
         torch.where(sky, of_sky, of_surface).long()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from torch import Tensor
@@ -38,7 +39,7 @@ class ScanPoints:
     points_between: int = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """What is believed of a scan on a raster of H x W pixels: from measurement and networks alone.
 
@@ -93,7 +94,7 @@ class Scene:
         """(1, H, W) bool: pixels with a point of the scan, or with one between the beams of a sparse sensor."""
         return self.channels[:, 0] > 0
 
-    @property
+    @cached_property
     def ids(self) -> Tensor:
         """(1, H, W) uint8: the likeliest classes, ids of COMMON15."""
         return likeliest(self.probabilities)
