@@ -55,9 +55,9 @@ OUTSIDE = "outside of stages"
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One thing that was timed; milliseconds: median and least over the runs; aim: what it should take, in words."""
+    """A thing that was timed; milliseconds: median and least over the runs; aim: those that it should take, in words."""
 
-    what: str
+    title: str
     median_ms: float
     least_ms: float
     aim: str = ""
@@ -67,7 +67,7 @@ class Row:
 class Comparison:
     """Median milliseconds of one stage by engine, in the order that they were named."""
 
-    what: str
+    title: str
     median_ms: dict[str, float]
 
 
@@ -134,7 +134,7 @@ def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> lis
                 runs_by_engine[engine].append(_stage_times(pipeline, scan, folder))
     return [
         Comparison(
-            what=_title(stage),
+            title=_title(stage),
             median_ms={
                 engine: round(statistics.median(run[stage] for run in times[1:]), 2)
                 for engine, times in runs_by_engine.items()
@@ -161,8 +161,8 @@ def measure_world(runs: int, processes: int) -> list[Row]:
         begin = time.perf_counter()
         frames = sum(generate(Path(folder) / "many", settings, 1, processes))
         frame_ms = (time.perf_counter() - begin) * 1e3 / frames
-        what = f"world: whole frame, {processes} processes, {frames} frames, start and build included"
-        return [*rows, _row(what, [frame_ms], WORLD_AIMS["frame"])]
+        title = f"world: whole frame, {processes} processes, {frames} frames, start and build included"
+        return [*rows, _row(title, [frame_ms], WORLD_AIMS["frame"])]
 
 
 def conditions(device: str, runs: int) -> dict[str, Any]:
@@ -180,7 +180,7 @@ def conditions(device: str, runs: int) -> dict[str, Any]:
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown: a line per row."""
-    cells = ([row.what, f"{row.median_ms:.1f}", f"{row.least_ms:.1f}", row.aim] for row in rows)
+    cells = ([row.title, f"{row.median_ms:.1f}", f"{row.least_ms:.1f}", row.aim] for row in rows)
     return markdown_table(["milliseconds", "median", "least", "aim"], cells)
 
 
@@ -190,7 +190,7 @@ def comparison_table(rows: Sequence[Comparison]) -> str:
     head = ["milliseconds, median", first, *(column for name in further for column in (name, f"{first} / {name}"))]
     lines = []
     for row in rows:
-        cells = [row.what, f"{row.median_ms[first]:.0f}"]
+        cells = [row.title, f"{row.median_ms[first]:.0f}"]
         for name in further:
             cells += [f"{row.median_ms[name]:.0f}", f"{row.median_ms[first] / max(row.median_ms[name], 0.01):.2f}"]
         lines.append(cells)
@@ -245,13 +245,13 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
 
 
 def _timer(runs: int, device: torch.device) -> Callable[[str, dict[str, str], Callable[[], object]], Row]:
-    def timed(what: str, aims: dict[str, str], work: Callable[[], object]) -> Row:
+    def timed(title: str, aims: dict[str, str], work: Callable[[], object]) -> Row:
         def finished(_: int) -> None:
             work()
             if device.type == "cuda":
                 torch.cuda.synchronize(device)
 
-        return _row(what, _times(finished, runs + 1)[1:], aims.get(what, ""))
+        return _row(title, _times(finished, runs + 1)[1:], aims.get(title, ""))
 
     return timed
 
@@ -266,8 +266,8 @@ def _times(work: Callable[[int], object], runs: int) -> list[float]:
     return times
 
 
-def _row(what: str, times: list[float], aim: str = "") -> Row:
-    return Row(what=what, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2), aim=aim)
+def _row(title: str, times: list[float], aim: str = "") -> Row:
+    return Row(title=title, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2), aim=aim)
 
 
 @dataclass(frozen=True, kw_only=True)
