@@ -55,7 +55,7 @@ OUTSIDE = "outside of stages"
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A thing that was timed; milliseconds: median and least over the runs; aim: those that it should take, in words."""
+    """A thing that was timed; milliseconds: median and least over the runs; aim: what it should take, in words."""
 
     title: str
     median_ms: float

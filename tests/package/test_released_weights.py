@@ -187,7 +187,7 @@ def test_belief_takes_few_tensor_operations() -> None:
     """Project, segment, clean up and translate: thousands of small operations are slow on a GPU."""
     rows = {row.stage: row.operations for row in measure_operations("kitti-mini", "cpu")}
     assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
-    assert rows[WHOLE] > sum(rows[stage] for stage in BELIEF)
+    assert sum(rows[stage] for stage in BELIEF) < rows[WHOLE] <= 2500, rows
 
 
 def test_operations_are_as_many_on_every_machine() -> None:

@@ -39,6 +39,7 @@ class RangeImage:
     column    (N,) int64: likewise the column.
     range_m   (N,) float32: distance of each point from the view's origin, metres; zero where not usable.
     usable    (N,) bool: finite, and neither at the sensor's origin (no echo) nor at the view's.
+    inside    (N,) bool: usable and in view.
     """
 
     view: View
@@ -49,13 +50,7 @@ class RangeImage:
     column: Tensor
     range_m: Tensor
     usable: Tensor
-
-    @property
-    def inside(self) -> Tensor:
-        """(N,) bool: usable and in view."""
-        view = self.view
-        kept = self.usable & (self.row >= 0) & (self.row < view.rows)
-        return kept & (self.column >= 0) & (self.column < view.columns)
+    inside: Tensor
 
     @property
     def dropped(self) -> int:
@@ -157,14 +152,15 @@ def project(scan: Scan, view: View | str, *, device: str | torch.device = "cpu")
 
 
 class _Placed(NamedTuple):
-    """Points (N,) seen from a view's origin, and their place on its raster; cell H * W: none."""
+    """Points (3, N) seen from a view's origin, and their places (N,) on its raster; cell H * W: none."""
 
-    xyz: tuple[Tensor, Tensor, Tensor]
+    xyz: Tensor
     range_m: Tensor
     row: Tensor
     column: Tensor
     cell: Tensor
     usable: Tensor
+    inside: Tensor
 
 
 def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
@@ -174,8 +170,8 @@ def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
     owned = (index >= 0).nonzero()[:, 0]
     owner = index.index_select(0, owned)
     channels = xyz.new_zeros(5, cells)
-    for channel, value in zip(channels, (placed.range_m, *placed.xyz, remission), strict=True):
-        channel.scatter_(0, owned, value.index_select(0, owner))
+    measured = torch.cat([placed.range_m[None], placed.xyz, remission[None]])
+    channels.index_copy_(1, owned, measured.index_select(1, owner))
     index = index.view(view.rows, view.columns)
     return RangeImage(
         view=view,
@@ -186,6 +182,7 @@ def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
         column=placed.column,
         range_m=placed.range_m,
         usable=placed.usable,
+        inside=placed.inside,
     )
 
 
@@ -198,21 +195,21 @@ def nearest_ranges(scan: Scan, view: View, *, device: str | torch.device = "cpu"
 
 
 def _placed(xyz: Tensor, remission: Tensor, view: View) -> _Placed:
-    x, y, z = (axis.contiguous() for axis in xyz.unbind(1))
-    squared = x * x + y * y + z * z
+    places = xyz.T.contiguous()
+    squared = places.square().sum(0)
     usable = torch.isfinite(squared + remission) & (squared > 0)
     if any(view.origin):
-        x, y, z = x - view.origin[0], y - view.origin[1], z - view.origin[2]
-        squared = x * x + y * y + z * z
+        places = places - places.new_tensor(view.origin)[:, None]
+        squared = places.square().sum(0)
         usable &= torch.isfinite(squared) & (squared > 0)
-    x, y, z, squared = (value.nan_to_num(0, 0, 0) for value in (x, y, z, squared))
-    range_m = squared.sqrt() * usable
-    row, column = (place.floor().long() for place in pixels(x, y, z, view))
+    places = places.nan_to_num(0, 0, 0)
+    range_m = squared.nan_to_num_(0, 0, 0).sqrt_().mul_(usable)
+    row, column = (place.floor().long() for place in pixels(*places.unbind(0), view))
     if view.circular:
         column = column.remainder(view.columns)
     inside = usable & (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)
     cell = torch.where(inside, row * view.columns + column, view.rows * view.columns)
-    return _Placed((x, y, z), range_m, row, column, cell, usable)
+    return _Placed(places, range_m, row, column, cell, usable, inside)
 
 
 def fitted_view(scan: Scan, view: View, tallest: View | None) -> View:

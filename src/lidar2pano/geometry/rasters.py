@@ -40,7 +40,7 @@ def likeliest(scores: Tensor) -> Tensor:
     A third of the time of `max(1).indices`, which on CPUs is itself a tenth of argmax's.
     """
     last = scores.shape[1] - 1
-    before_last = torch.arange(last, -1, -1, dtype=torch.uint8, device=scores.device)[:, None, None]
+    before_last = torch.arange(last, -1, -1, dtype=torch.uint8, device=scores.device).view(-1, 1, 1)
     highest = (scores == scores.amax(1, keepdim=True)).view(torch.uint8)
     return last - highest.mul_(before_last).amax(1)
 

@@ -46,9 +46,8 @@ class CircularConv(nn.Conv2d):
         reach = self.reach
         answer = summed(self, parts, (reach, reach))
         ends = [torch.cat([part[..., -2 * reach :], part[..., : 2 * reach]], dim=3) for part in parts]
-        seam = summed(self, ends, (reach, 0))
-        answer[..., -reach:], answer[..., :reach] = seam[..., :reach], seam[..., reach:]
-        return answer
+        seam = torch.arange(-reach, reach, device=answer.device) % answer.shape[3]
+        return answer.index_copy_(3, seam, summed(self, ends, (reach, 0)))
 
 
 def conv_norm_act(

@@ -29,7 +29,7 @@ from lidar2pano.models.stream_painter import QUALITIES
 from lidar2pano.models.world_noise import world_noise
 from lidar2pano.scene.depth import FAR_M, depth_code
 from lidar2pano.scene.record import Scene
-from lidar2pano.scene.surfaces import cylinder_points, normals, slopes
+from lidar2pano.scene.surfaces import normals, slopes
 
 FOLD = 4  # pixels of the scene's raster per pixel of the latents, in rows and in columns
 HEIGHT_M = 4.0  # of a surface above the road, per unit of its condition
@@ -57,23 +57,15 @@ def conditions_of(scene: Scene) -> Tensor:
     The last one is the elevation. An absent group is 0 in all its channels.
     """
     depth_m, view, device = scene.depth_m.float(), scene.view, scene.depth_m.device
-    surface = (scene.ids != SKY).float()[:, None]
-    radius_m, z_m = cylinder_points(depth_m, view)
+    surface = (scene.ids != SKY).float()
+    radius_m, z_m = scene.cylinder
     height = ((z_m + scene.viewpoint_m[:, None, None]) / HEIGHT_M).clamp(*HEIGHTS)
-    measured, present = scene.measured.float()[:, None], torch.ones_like(surface)
+    measured, present = scene.measured.float(), torch.ones_like(surface)
     elevation = slopes(view, device=device)[:, None].expand_as(depth_m) / SLOPE
-    parts = (
-        scene.probabilities.float(),
-        depth_code(depth_m.clamp(max=FAR_M))[:, None] * surface,
-        height[:, None] * surface,
-        normals(radius_m, z_m, view) * surface,
-        present,
-        measured,
-        scene.channels[:, 4:5].float() * measured,
-        present,
-        elevation[:, None],
-    )
-    return torch.cat(parts, 1)
+    remission = scene.channels[:, 4].float() * measured
+    shape = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), height, *normals(radius_m, z_m, view).unbind(1)], 1)
+    others = torch.stack([present, measured, remission, present, elevation], 1)
+    return torch.cat([scene.probabilities.float(), shape * surface[:, None], others], 1)
 
 
 def mirrored(conditions: Tensor) -> Tensor:
@@ -165,7 +157,7 @@ class ConditionedUNet(nn.Module):
         ]
         widths = [layer.out_features // 2 for layer in layers for _ in range(2)]
         weight, bias = torch.cat([layer.weight for layer in layers]), torch.cat([layer.bias for layer in layers])
-        yield from linear(code, weight, bias)[..., None, None].split(widths, 1)
+        yield from linear(code, weight, bias).view(len(code), -1, 1, 1).split(widths, 1)
 
 
 class MeanNetwork(nn.Module):
@@ -227,7 +219,7 @@ class FlowNetwork(nn.Module):
         """
         code = shares @ self.look_codes + self.time(moment) + self.style(style)
         mean = mean.to(noisy.dtype)
-        remainder = noisy - time[:, None, None, None].to(noisy.dtype) * mean
+        remainder = noisy - time.view(-1, 1, 1, 1).to(noisy.dtype) * mean
         return mean + self.unet(conditions, code, torch.cat([remainder, mean, photograph.to(noisy.dtype)], 1))
 
 
@@ -400,11 +392,6 @@ class LatentPainter(nn.Module):
 
 def moment_of(time: Tensor, step: Tensor) -> Tensor:
     """Return the embedding (B, 4 WAVES) of times and lengths of steps (B,)."""
-    return torch.cat([waves(time), waves(step)], 1)
-
-
-def waves(time: Tensor) -> Tensor:
-    """Embed times (B,) as sines and cosines (B, 2 WAVES)."""
     frequency = torch.linspace(0, math.log(FASTEST), WAVES, device=time.device).exp()
-    angle = time.float()[:, None] * frequency
-    return torch.cat([angle.sin(), angle.cos()], 1)
+    angle = torch.stack([time, step], 1).float()[..., None] * frequency
+    return torch.cat([angle.sin(), angle.cos()], 2).flatten(1)

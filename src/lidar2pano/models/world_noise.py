@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lidar2pano.labels import COMMON15
 from lidar2pano.scene.record import Scene
-from lidar2pano.scene.surfaces import cylinder_points, world_columns
+from lidar2pano.scene.surfaces import world_columns
 
 SKY = COMMON15.id_of("sky")
 SKY_OCTAVE = 1 << 10  # the sky's noise hangs on directions: it has an octave of its own
@@ -29,7 +29,7 @@ def world_noise(scene: Scene, channels: int, fold: int, seed: int = 0) -> Tensor
     """
     view, device = scene.view, scene.depth_m.device
     middle = (slice(None), slice(fold // 2, None, fold), slice(fold // 2, None, fold))
-    radius_m, z_m = (part[middle][0].double() for part in cylinder_points(scene.depth_m, view))
+    radius_m, z_m = (part[middle][0].double() for part in scene.cylinder)
     direction, place = world_columns(view, scene.T_world_sensor, device)
     pose_z = 0.0 if scene.T_world_sensor is None else float(scene.T_world_sensor[2, 3])
     direction = direction[:, fold // 2 :: fold]

@@ -88,19 +88,23 @@ def vote(
     distance = keys.view(torch.float32)[:, HIGH::2]  # the neighbours' ranges, in place
     distance.sub_(range_m).abs_().mul_(weights.to(distance).view(-1, 1))
     distance[weights.numel() // 2].masked_fill_(own, 0)
-    return _most_named(_class_within(torch.stack(_least(list(keys.unbind(0)), neighbours)), cutoff_m))
+    return _most_named(_class_within(torch.stack(_least(keys, neighbours)), cutoff_m))
 
 
-def _least(keys: list[Tensor], number: int) -> list[Tensor]:
-    """Return the least `number` of some keys, element by element, in any order.
+def _least(keys: Tensor, number: int) -> list[Tensor]:
+    """Return the least `number` of keys (K, N), element by element, in any order.
 
-    Groups are sorted and merged: of two sorted lists the least are the smaller of the first of one and the last of the
-    other, and so on. One tensor at a time stays in a CPU's cache.
+    Groups are sorted, all at once, and merged: of two sorted lists the least are the smaller of the first of one and
+    the last of the other, and so on.
     """
-    groups = [keys[first : first + number] for first in range(0, len(keys), number)]
-    least = groups[0]
-    for group in groups[1:]:
-        least, group = _sorted(least), _sorted(group)  # noqa: PLW2901 sorted
+    if len(keys) <= number:
+        return list(keys.unbind(0))
+    groups = keys[: len(keys) // number * number].unflatten(0, (-1, number))
+    least, *others = [list(group.unbind(0)) for group in torch.stack(_sorted(list(groups.unbind(1))), 1)]
+    if rest := list(keys[groups.shape[0] * number :].unbind(0)):
+        others.append(_sorted(rest))
+    for place, group in enumerate(others):
+        least = _sorted(least) if place else least
         kept = number - len(group)
         least = least[:kept] + [torch.minimum(*pair) for pair in zip(least[kept:], group[::-1], strict=True)]
     return least

@@ -258,7 +258,7 @@ class Pipeline:
             probabilities, guessed_m = self._translated(measurement)
             ids, channels = likeliest(probabilities), measurement.channels
             viewpoint_m = viewpoint_height(channels[:, 0], ids == ROAD, self.view)
-            return Scene(
+            scene = Scene(
                 view=self.view,
                 channels=channels,
                 probabilities=probabilities,
@@ -266,6 +266,8 @@ class Pipeline:
                 viewpoint_m=viewpoint_m,
                 points=measurement.points,
             )
+            vars(scene)["ids"] = ids  # computed already
+            return scene
 
     @torch.inference_mode()
     def remember(self, memory: Memory, scene: Scene, pose: np.ndarray | None, timer: Timer) -> tuple[Memory, Scene]:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from lidar2pano.geometry.rasters import likeliest
 from lidar2pano.labels import COMMON15
-from lidar2pano.scene.surfaces import viewpoint_height
+from lidar2pano.scene.surfaces import cylinder_points, viewpoint_height
 from lidar2pano.views import View
 
 ROAD = COMMON15.id_of("road")
@@ -93,6 +93,11 @@ class Scene:
     def measured(self) -> Tensor:
         """(1, H, W) bool: pixels with a point of the scan, or with one between the beams of a sparse sensor."""
         return self.channels[:, 0] > 0
+
+    @cached_property
+    def cylinder(self) -> tuple[Tensor, Tensor]:
+        """Distances from the view's axis and heights above its origin, (1, H, W) float32 metres each."""
+        return cylinder_points(self.depth_m, self.view)
 
     @cached_property
     def ids(self) -> Tensor:

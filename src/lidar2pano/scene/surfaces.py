@@ -47,14 +47,14 @@ def hides(nearest: Tensor, inverse: Tensor) -> Tensor:
 
 def slopes(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     """Return the tangents (H,) float32 of the elevation of a view's rows."""
-    row = torch.arange(view.rows, dtype=torch.float64, device=device) + 0.5
+    row = torch.arange(0.5, view.rows, dtype=torch.float64, device=device)
     height = view.up - row / view.rows * (view.up - view.down)
     return (torch.tan(torch.deg2rad(height)) if view.kind == "sphere" else height).float()
 
 
 def azimuths(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     """Return the azimuths (W,) float64 of a view's columns, radians, counter-clockwise from the sensor's x axis."""
-    column = torch.arange(view.columns, dtype=torch.float64, device=device) + 0.5
+    column = torch.arange(0.5, view.columns, dtype=torch.float64, device=device)
     return math.radians(view.left) - column / view.columns * math.radians(view.left - view.right)
 
 
