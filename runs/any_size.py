@@ -33,7 +33,7 @@ FAMILIES: dict[str, tuple[str, ...]] = {  # recipe and what is set besides
         "latent-painter-mini",
         SEGMENTER,
         f"options.translator={WEIGHTS / 'translator.safetensors'}",
-        f"options.autoencoder={Path(__file__).parent / 'stages/pictures.safetensors'}",
+        f"networks.painter.start={WEIGHTS / 'painter.safetensors'}",
     ),
     "sdnet": ("sdnet-mini",),
     "scunet": ("scunet-mini",),

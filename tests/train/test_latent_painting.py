@@ -52,7 +52,7 @@ def sectors_of(place, root, cache, *splits):
         root,
         splits,
         lidar2pano.load(family, "cpu", "torch"),
-        load(place / "autoencoder.safetensors")[0],
+        load(place / "autoencoder.safetensors")[0].encoder,
         (str(family / "segmenter.safetensors"), str(family / "translator.safetensors")),
         ("photograph",),
         96,
@@ -110,7 +110,7 @@ def test_a_crop_and_its_mirror_belong_to_their_latents(sectors):
         assert sample.latents.shape == (4, 12, 24)
         gaps = {}
         for mirror in (False, True):
-            whole = sectors.autoencoder.encode((picture.flip(-1) if mirror else picture)[None])[0].detach()
+            whole = sectors.encoder((picture.flip(-1) if mirror else picture)[None])[0].detach()
             for start in range(40 - 24 + 1):
                 gaps[mirror, start] = float((whole[..., start : start + 24] - sample.latents).square().mean())
         mirror, start = min(gaps, key=gaps.__getitem__)
@@ -264,7 +264,12 @@ def test_a_painter_that_goes_on_keeps_the_scale_of_its_latents(place, tmp_path):
     learned.decoder.scale += 1
     save(tmp_path / "learned.safetensors", learned, Card(network="latent-painter", settings=SMALL))
     start = f"networks.painter.start={tmp_path / 'learned.safetensors'}"
-    scale = build_task(small(place, start), place / "set").painter.decoder.scale
+    task = build_task(small(place, start, "options.autoencoder="), place / "set")
+    scale = task.painter.decoder.scale
+    assert all(
+        torch.equal(*pair)
+        for pair in zip(task.dataset.encoder.parameters(), task.painter.encoder.parameters(), strict=True)
+    )
     torch.testing.assert_close(scale, learned.decoder.scale, rtol=1e-3, atol=0)  # files have half precision
 
 
@@ -298,7 +303,7 @@ def test_a_crops_picture_is_its_photograph(sectors, place):
     """It is mirrored as the crop is, and its coverage by cells is the latents' coverage."""
     family = place / "family"
     networks = (str(family / "segmenter.safetensors"), str(family / "translator.safetensors"))
-    parts = (sectors.pipeline, sectors.autoencoder, networks, ("photograph",), 96, str(place / "cache"))
+    parts = (sectors.pipeline, sectors.encoder, networks, ("photograph",), 96, str(place / "cache"))
     pictured = PicturedFrames(place / "set", ("all",), *parts)
     whole, shown = pictured.photograph(1)
     mirrors = set()

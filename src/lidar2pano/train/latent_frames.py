@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from PIL import Image
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import max_pool2d
 
 from lidar2pano.bounded_files import sha256_of
@@ -39,7 +39,7 @@ from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.autoencoder import FACTOR, Autoencoder
+from lidar2pano.models.autoencoder import FACTOR
 from lidar2pano.models.latent_painter import (
     FOLD,
     GEOMETRY,
@@ -95,7 +95,7 @@ class Encoded(NamedTuple):
 class LatentFrames:
     """Crops of the sectors of some splits: at random for a SampleIndex, in the middle for an int.
 
-    pipeline     makes the scenes;  autoencoder: makes the latents.
+    pipeline     makes the scenes;  encoder: that of an Autoencoder, makes the latents.
     networks     files of the pipeline's networks: sectors made by others are made again.
     looks        names of the looks; the first one is of photographs, the others are named by a world.json.
     columns      of a crop on the scene's raster;  cache: folder of the sectors' files; "": .lidar2pano of a data set.
@@ -107,13 +107,13 @@ class LatentFrames:
         root: Path,
         splits: tuple[str, ...],
         pipeline: Pipeline,
-        autoencoder: Autoencoder,
+        encoder: nn.Module,
         networks: tuple[str, str],
         looks: tuple[str, ...],
         columns: int,
         cache: str = "",
     ) -> None:
-        self.frames, self.pipeline, self.autoencoder = frames_of(root, splits), pipeline, autoencoder.eval()
+        self.frames, self.pipeline, self.encoder = frames_of(root, splits), pipeline, encoder.eval()
         most = sector_columns(pipeline.view)
         if columns % STRIDE or columns > most:
             raise InputError(f"options.columns={columns}: must be a multiple of {STRIDE}, at most {most}")
@@ -231,7 +231,7 @@ class LatentFrames:
             picture, coverage = self.photograph(index)
             pictures = torch.stack([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
             with torch.no_grad(), fast_arithmetic(torch.device("cpu")):
-                latents = torch.cat([self.autoencoder.encode(part) for part in pictures.split(1)]).half()
+                latents = torch.cat([self.encoder(part) for part in pictures.split(1)]).half()
             unknown = max_pool2d((~coverage)[None, None].float(), FACTOR)[0, 0]
             self._encoded[file] = Encoded(latents[0], latents[1], unknown == 0)
         return self._encoded[file]

@@ -6,6 +6,7 @@ on pixels in view of a camera. Long steps are learned from two of half their len
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,8 @@ class LatentPaintingOptions(TaskOptions):
     """The latent painter.
 
     columns      width of a crop on the scene's raster, a multiple of 16.
-    autoencoder, segmenter, translator   weight files: of the latents, and of the scenes.
+    segmenter, translator   weight files of the networks that make the scenes.
+    autoencoder  weight file of the latents; a painter that goes on (`networks.painter.start`) has its own.
     cache        folder of the sectors, some 3 MB each; "": the folder .lidar2pano of their data set.
     free_probability    of a sample whose flow is given nothing of the scene, for guidance.
     style_probability   of a sample to be given a style, of some columns of its photograph.
@@ -84,13 +86,15 @@ class LatentPainting:
 
     def __init__(self, recipe: Recipe[LatentPaintingOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
-        for name in ("autoencoder", "segmenter", "translator"):
+        start = recipe.networks["painter"].start
+        for name in ("segmenter", "translator", *(() if start else ("autoencoder",))):
             if not getattr(recipe.options, name):
                 raise InputError(f"recipe {recipe.name!r} needs --set options.{name}=FILE")
-        autoencoder = cast("Autoencoder", load(Path(recipe.options.autoencoder), expect="autoencoder")[0])
         self.networks = build_networks(recipe)
         self.painter = cast("LatentPainter", self.networks["painter"])
         self.painter.mean.requires_grad_(recipe.options.mean)
+        if not start:
+            self._code_as(cast("Autoencoder", load(Path(recipe.options.autoencoder), expect="autoencoder")[0]))
         device = torch.device("cpu")
         segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
@@ -101,7 +105,7 @@ class LatentPainting:
                 root,
                 splits,
                 pipeline,
-                autoencoder,
+                copy.deepcopy(self.painter.encoder),  # it stays on the CPU
                 networks,
                 self.painter.looks,
                 recipe.options.columns,
@@ -111,11 +115,10 @@ class LatentPainting:
         )
         self.dataset.octaves = recipe.options.remission_octaves
         self.logs: dict[str, float | Tensor] = {}
-        if not recipe.networks["painter"].start:  # what starts from weights has a decoder and a scale of its own
-            self._decode_as(autoencoder)
+        if not start:
             self._measure_scale()
 
-    def _decode_as(self, autoencoder: Autoencoder) -> None:
+    def _code_as(self, autoencoder: Autoencoder) -> None:
         """Give the painter the autoencoder's encoder and decoder."""
         try:
             self.painter.encoder.load_state_dict(autoencoder.encoder.state_dict())
