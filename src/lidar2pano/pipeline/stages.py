@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import NamedTuple, Self, Unpack
@@ -211,8 +210,10 @@ class Pipeline:
         measurement = self.measure(scan, timer, labels)
         scene = self.predict(measurement, timer)
         memory, scene = self.remember(memory, scene, pose, timer)
-        with timer("cameras") if cameras else nullcontext():
-            kept, doubts = sound_cameras(cameras, scan, edges=memory.frames == 0)
+        kept, doubts = cameras, ()
+        if cameras:
+            with timer("cameras"):
+                kept, doubts = sound_cameras(cameras, scan, edges=memory.frames == 0)
         memory, panorama = self.paint(memory, scene, timer, kept)
         return memory, replace(panorama, doubts=doubts)
 
