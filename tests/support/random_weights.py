@@ -86,7 +86,7 @@ def write_family(folder: Path) -> Path:
     slim = {"widths": [8, 8, 8, 8, 8], "pyramid": 8}
     write_segmenter(folder)
     write_weights(folder, "translator", "titan-pano", slim, labels="common-15", views=views)
-    write_weights(folder, "painter", "latent-painter", PAINTER, views=views)
+    write_weights(folder, "painter", "latent-painter", PAINTER | {"looks": ["day"]}, views=views)
     return folder
 
 
