@@ -29,12 +29,6 @@ def fast_arithmetic(device: torch.device) -> AbstractContextManager[object]:
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_bfloat16(device))
 
 
-def inference_dtype(device: torch.device) -> torch.dtype:
-    """Type of convolutions: inside `fast_arithmetic` and inference mode bfloat16, otherwise float32."""
-    fast = torch.is_inference_mode_enabled() and torch.is_autocast_enabled(device.type)
-    return torch.get_autocast_dtype(device.type) if fast else torch.float32
-
-
 def pick_device(name: str | torch.device) -> torch.device:
     """Return the device of "auto", "cpu" or "cuda"; InputError for an unknown or absent one."""
     if isinstance(name, torch.device):

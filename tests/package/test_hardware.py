@@ -5,7 +5,6 @@ import subprocess
 import sys
 
 import pytest
-import torch
 
 from lidar2pano import hardware
 from lidar2pano.hardware import keep_buffers
@@ -64,18 +63,6 @@ def fail(error: Exception):
 def test_other_c_libraries_are_left_alone(monkeypatch, library):
     monkeypatch.setattr(ctypes, "CDLL", library)
     assert keep_buffers() is False
-
-
-def test_inference_computes_in_bfloat16_where_no_gradients_flow(monkeypatch):
-    monkeypatch.setattr(hardware, "has_bfloat16", lambda device: True)
-    cpu = torch.device("cpu")
-    assert hardware.inference_dtype(cpu) == torch.float32
-    with hardware.fast_arithmetic(cpu):
-        assert hardware.inference_dtype(cpu) == torch.float32
-        with torch.inference_mode():
-            assert hardware.inference_dtype(cpu) == torch.bfloat16
-    with torch.inference_mode():
-        assert hardware.inference_dtype(cpu) == torch.float32
 
 
 @pytest.mark.parametrize(
