@@ -403,7 +403,7 @@ def test_bench_measures_everything(here, random_weights, capsys, monkeypatch):
     assert main(["bench", "--runs", "1", "--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]) == 0
     said = json.loads((here / "b.json").read_text())
     stages = [f"stage {name}" for name in STAGES if name != "read"]
-    assert [row["what"] for row in said["rows"]] == ["projection", "clean-up", "Lovasz", *stages, "whole panorama"]
+    assert [row["title"] for row in said["rows"]] == ["projection", "clean-up", "Lovasz", *stages, "whole panorama"]
     assert all(row["median_ms"] >= row["least_ms"] > 0 for row in said["rows"])
     assert {"device", "threads", "bfloat16", "buffers_kept", "runs"} <= set(said)
     assert said["weights"] == str(random_weights)
@@ -423,7 +423,7 @@ def test_bench_shows_engines_side_by_side(here, random_weights, capsys, monkeypa
     options = ["--runs", "1", "--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]
     assert main(["bench", "--engine", "torch,onnx", *options]) == 0
     rows = json.loads((here / "b.json").read_text())["rows"]
-    assert [row["what"] for row in rows] == [*(f"stage {name}" for name in STAGES if name != "read"), "whole panorama"]
+    assert [row["title"] for row in rows] == [*(f"stage {name}" for name in STAGES if name != "read"), "whole panorama"]
     assert all(list(row["median_ms"]) == ["torch", "onnx"] and min(row["median_ms"].values()) > 0 for row in rows)
     assert "| torch | onnx | torch / onnx |" in capsys.readouterr().out
 

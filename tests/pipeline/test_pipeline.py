@@ -549,10 +549,9 @@ def test_looks_that_are_files_are_painted(random_weights, tmp_path, capsys):
 def test_cameras_guide_latent_painters_alone(random_weights, tmp_path, monkeypatch):
     guided = []
     monkeypatch.setattr(stages, "compose", lambda panorama, real, **options: guided.append(options) or panorama)
-    view = TRANSLATOR_VIEW.scaled(2 / 3).as_dict()
-    write_weights(tmp_path, "painter", "latent-painter", SLIM["latent-painter"], views={"panorama": view})
+    video = write_weights(tmp_path, "video", "vid2vid", GENERATOR)
     ahead = Camera(np.full((300, 480, 3), 150, dtype=np.uint8), camera(0.0, (0.0, 0.0, 0.0)))
-    for weights in (f"{random_weights}+{tmp_path / 'painter.safetensors'}", random_weights):
+    for weights in (random_weights, f"{random_weights}+{video}"):
         load(weights, "cpu", "torch")(street(), [ahead])
     assert guided == [{"guided": True}, {"guided": False}]
 
