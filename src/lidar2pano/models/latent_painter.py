@@ -157,7 +157,7 @@ class ConditionedUNet(nn.Module):
         ]
         widths = [layer.out_features // 2 for layer in layers for _ in range(2)]
         weight, bias = torch.cat([layer.weight for layer in layers]), torch.cat([layer.bias for layer in layers])
-        yield from linear(code, weight, bias).view(len(code), -1, 1, 1).split(widths, 1)
+        yield from linear(code, weight, bias).unflatten(1, (-1, 1, 1)).split(widths, 1)
 
 
 class MeanNetwork(nn.Module):
