@@ -104,6 +104,14 @@ def test_scans_are_chosen(tmp_path, format, options, numbers):
     assert [frame.number for frame in frames(path, **options)] == numbers
 
 
+@pytest.mark.parametrize("format", ["bag", "db3", "mcap"])
+def test_a_recording_behind_a_linked_folder_is_read(tmp_path, format):
+    (tmp_path / "there").mkdir()
+    path = write(tmp_path / "there", format, DRIVE[:2])
+    (tmp_path / "here").symlink_to(tmp_path / "there")
+    assert len(clouds(tmp_path / "here" / path.name)) == 2
+
+
 def test_a_wrong_suffix_is_no_error(tmp_path):
     path = write(tmp_path, "bag", DRIVE[:2]).rename(tmp_path / "drive #1?.mcap")
     assert len(clouds(path)) == 2

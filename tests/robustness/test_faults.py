@@ -277,7 +277,7 @@ FAULTS = [
         OWN,
         "means of 1000 deviations at most",
     ),
-    Fault("a kernel of 40000 pixels", own(setting(colour_kernel=40_000), "painter"), OWN, "has shape"),
+    Fault("a code of 40000 numbers", own(setting(code=40_000), "painter"), OWN, "has shape"),
     Fault("a view of 30 million pixels", own(view(rows=1600, columns=19200)), OWN, "own/segmenter.safetensors: "),
     Fault("a view with half a row", own(view(rows=32.5)), OWN, "a whole number"),
     Fault("a view from infinity", own(view(origin=[1e999, 0, 0])), OWN, "own/segmenter.safetensors: "),

@@ -62,8 +62,8 @@ class RegularPath:
         return str(self.path)
 
     def __str__(self) -> str:
-        """Return the path as SQLite's addresses need it."""
-        return quote(os.fsencode(self.path.absolute()))
+        """Return the path as SQLite's addresses need it: without links, at which its opening by a gate ends."""
+        return quote(os.fsencode(self.path.resolve()))
 
 
 class RosBag:
