@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -114,11 +115,17 @@ def change_sensor_remission(scan: Scan, generator: np.random.Generator, octaves:
     a is drawn within +-`octaves`, b within +-`octaves` / 3, c (0: calibrated, 2: raw power, by the LiDAR equation of
     Wagner et al. 2006) within [0, 2 `octaves` / 3]; ranges below 1 m count as 1 m. The curve rises in remission.
     """
-    level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
+    curve = remission_curve(generator, octaves)
     fade = generator.uniform(0, 2 * octaves) / 3
     range_m = np.nan_to_num(np.linalg.norm(scan.xyz, axis=1), nan=10.0).clip(1.0, 1e3)
-    bright = np.clip(scan.remission, 0, 1) ** 2.0**curve * 2.0**level * (10.0 / range_m) ** fade
+    bright = curve(np.clip(scan.remission, 0, 1)) * (10.0 / range_m) ** fade
     return replace(scan, remission=np.clip(bright, 0, 1).astype(np.float32))
+
+
+def remission_curve(generator: np.random.Generator, octaves: float) -> Callable[[Any], Any]:
+    """Draw the rising curve 2**a remission**(2**b) of `change_sensor_remission`, for arrays or tensors in [0, 1]."""
+    level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
+    return lambda remission: remission**2.0**curve * 2.0**level
 
 
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:

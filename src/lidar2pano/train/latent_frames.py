@@ -51,6 +51,7 @@ from lidar2pano.models.latent_painter import (
     style_of,
 )
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.scan import remission_curve
 from lidar2pano.scene.depth import FAR_M
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import FULL_TURN, View
@@ -156,7 +157,8 @@ class LatentFrames:
             coverage, picture, shown = (part.flip(-1) for part in (coverage, picture, shown))
             latents = encoded.mirrored[..., spare : spare + cells]
         if generator is not None and generator.random() < 0.5:
-            conditions[REMISSION] = other_remission(conditions[REMISSION], generator, self.octaves)
+            curve = remission_curve(generator, self.octaves)  # of another make of sensor
+            conditions[REMISSION] = curve(conditions[REMISSION]).clamp(0, 1)
         look = torch.tensor(self.places[index][2])
         style = self._style(self._beside(index, generator), generator)
         return LatentSample(conditions, latents.float(), coverage, look, style, picture, shown)
@@ -307,12 +309,6 @@ class PicturedFrames(LatentFrames):
         window = (..., slice(start * FACTOR, (start + cells) * FACTOR))
         picture, shown = self.photograph(index)
         return picture[window], shown[window]
-
-
-def other_remission(remission: Tensor, generator: np.random.Generator, octaves: float) -> Tensor:
-    """Return remission (h, w) as another make of sensor has it: `scan.change_sensor_remission` at one range."""
-    level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
-    return (remission**2.0**curve * 2.0**level).clamp(0, 1)
 
 
 def pictured(picture: Tensor, coverage: Tensor) -> dict[str, Tensor]:
