@@ -42,12 +42,10 @@ class RenderedImage:
 
     image        (H, W, 3) uint8 sRGB.
     object_type  (H, W) uint8 of OBJECT_TYPE_IDS, or SKY;  distance (H, W) float32 metres, inf: sky.
-    material     (H, W) ids of MATERIAL_IDS, anything in the sky.
     """
 
     image: np.ndarray
     object_type: np.ndarray
-    material: np.ndarray
     distance: np.ndarray
 
 
@@ -112,7 +110,6 @@ def render(
     return RenderedImage(
         image=_camera_image(radiance.reshape(*shape, 3), look, circular, seed),
         object_type=hits.object_type.reshape(shape),
-        material=hits.material.reshape(shape),
         distance=hits.distance.reshape(shape),
     )
 
