@@ -16,12 +16,12 @@ class InputError(ValueError):
 
 
 @contextmanager
-def require_extra(extra: str, what: object) -> Generator[None]:
-    """Raise InputError in place of ImportError: `what` needs libraries of an extra of this package."""
+def require_extra(extra: str, purpose: object) -> Generator[None]:
+    """Raise InputError in place of ImportError: `purpose` needs libraries of an extra of this package."""
     try:
         yield
     except ImportError as error:
-        raise InputError(f"{what} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error
+        raise InputError(f"{purpose} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error
 
 
 def closest(name: str, names: Iterable[str]) -> str:

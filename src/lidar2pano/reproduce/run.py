@@ -115,10 +115,11 @@ class Plan:
         names = splits(self.data)
         train = tuple(name for name in recipe.data.train if name in names) or ("train",)
         recipe = replace(recipe, data=replace(recipe.data, train=train, val=(SELECTION,)))
-        weights = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
-        weights["autoencoder"] = files.get("autoencoder")
+        parts = {"segmenter": SEGMENTER, "translator": "titan-pano", "autoencoder": "autoencoder"}
         options: dict[str, Any] = {
-            name: str(file) for name, file in weights.items() if file and hasattr(recipe.options, name)
+            name: str(files[made_by])
+            for name, made_by in parts.items()
+            if made_by in files and hasattr(recipe.options, name)
         }
         if hasattr(recipe.options, "cache"):
             options["cache"] = str(self.out / "sectors")
