@@ -79,6 +79,14 @@ def test_anything_else_is_one_line_and_a_named_exit_code(monkeypatch, capsys, er
     assert left == code and says in err and err.count("\n") == 1 and len(err) < 2500
 
 
+@pytest.mark.parametrize("linked", ["cause", "context"])
+def test_a_signal_amid_an_import_ends_as_the_signal_does(monkeypatch, capsys, linked):
+    # so pybind11 reports whatever a module's import raises
+    error, signalled = ImportError("initialization failed"), Terminated("terminated")
+    setattr(error, f"__{linked}__", signalled)
+    assert fail(error, monkeypatch, capsys) == (TERMINATED, "lidar2pano: terminated\n")
+
+
 def test_debug_shows_the_traceback_wherever_it_stands(monkeypatch, capsys):
     _, err = fail(ZeroDivisionError("x"), monkeypatch, capsys, "--debug")
     assert "Traceback" in err and err.rstrip().splitlines()[-1].startswith("lidar2pano: a fault of the program")

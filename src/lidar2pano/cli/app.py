@@ -245,6 +245,8 @@ def _forget_wakeup_in_children() -> None:
 
 def exit_status(error: BaseException) -> tuple[int, str]:
     """Return exit code and line on stderr for an exception."""
+    if (interruption := _interruption(error)) is not None:
+        return exit_status(interruption)
     rules: list[tuple[type[BaseException], int, str]] = [
         (InputError, MISTAKE, str(error)),
         (FloatingPointError, BROKEN, str(error)),
@@ -268,6 +270,12 @@ def exit_status(error: BaseException) -> tuple[int, str]:
         return code, f"{place}{error.strerror or error}; fix this and run the command again"
     summary = f"{type(error).__name__}: {error}".partition("\n")[0]
     return FAULT, f"a fault of the program ({summary}); repeat the command with --debug and report its output"
+
+
+def _interruption(error: BaseException) -> KeyboardInterrupt | None:
+    """Return the signal that an exception comes of: one amid a library's import is raised on as ImportError."""
+    cause = error.__cause__ or error.__context__
+    return cause if cause is None or isinstance(cause, KeyboardInterrupt) else _interruption(cause)
 
 
 def _missing(error: ModuleNotFoundError) -> str:
