@@ -10,6 +10,7 @@ from lidar2pano.errors import InputError, closest
 
 FULL_TURN = 360.0  # degrees
 MOST_PIXELS = 1 << 24  # nine times the panorama's
+SLACK, DIGITS = 1e-6, 12  # rows, by which a whole number may be exceeded; of borders of elevation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +57,20 @@ class View:
         """Return the same directions on a coarser (factor < 1) or finer raster."""
         return replace(self, rows=round(self.rows * factor), columns=round(self.columns * factor))
 
+    def between(self, up: float, down: float, step: int = 1) -> View:
+        """Return the raster with rows added or left out, `step` at a time, until it just holds `up` to `down`.
+
+        Rows that stay look into the same directions.
+        """
+        pitch = (self.up - self.down) / self.rows
+        rows_up, rows_down = (
+            math.ceil(beyond / (step * pitch) - SLACK) * step for beyond in (up - self.up, self.down - down)
+        )
+        if not (rows_up or rows_down):
+            return self
+        ends = (round(end, DIGITS) for end in (self.up + rows_up * pitch, self.down - rows_down * pitch))
+        return replace(self, rows=self.rows + rows_up + rows_down, up=next(ends), down=next(ends))
+
     def window(self, start: int, columns: int) -> View:
         """Return the part of the raster from column `start`, `columns` wide: the same pixels."""
         step = (self.left - self.right) / self.columns
@@ -70,13 +85,17 @@ class View:
 # The camera of KITTI's recording car stands here, in the frame of its LiDAR (calibration of 2011-09-26, rounded).
 KITTI_CAMERA = (0.27, 0.06, -0.07)
 
+# 4608 / 2 pi = 733 columns per radian, as fine as KITTI's camera; rows cover the camera's picture.
+PANORAMA = View(rows=384, columns=4608, up=0.24, down=-0.2836, kind="cylinder", origin=KITTI_CAMERA)
+TALL = (math.tan(math.radians(24.0)), -math.tan(math.radians(32.0)))  # as hdl64e-tall
+
 VIEWS: dict[str, View] = {
     "hdl64e": View(rows=64, columns=2048, up=3.0, down=-25.0),  # SalsaNext, lidar-bonnetal's darknet53.yaml
     "hdl64e-tall": View(rows=128, columns=2048, up=24.0, down=-32.0),  # rows as high, for larger fields of view
     "titan-front": View(rows=64, columns=2048, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Net, laserscan.py
     "titan-front-512": View(rows=64, columns=512, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Next's width
-    # 4608 / 2 pi = 733 columns per radian, as fine as KITTI's camera; rows cover the camera's picture.
-    "panorama": View(rows=384, columns=4608, up=0.24, down=-0.2836, kind="cylinder", origin=KITTI_CAMERA),
+    "panorama": PANORAMA,
+    "panorama-tall": PANORAMA.between(*TALL, step=32),  # the same rows and more: of translators, 16 at half the raster
     "hdl32e": View(rows=32, columns=1024, up=10.67, down=-30.67),  # Velodyne HDL-32E data sheet
     "vlp16": View(rows=16, columns=1024, up=15.0, down=-15.0),  # Velodyne VLP-16 data sheet
     "os1-64": View(rows=64, columns=1024, up=22.5, down=-22.5),  # Ouster OS1 data sheet (rev. 6: 45 degrees)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
@@ -16,6 +17,7 @@ from lidar2pano.formats import image_files
 from lidar2pano.formats.image_files import HOST, PART, fast_png, read_image, write_colour, write_whole
 from lidar2pano.formats.readers import read
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
+from lidar2pano.geometry.projection import pixels
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 
@@ -262,6 +264,36 @@ def test_a_scaled_view_covers_the_same():
     assert (half.rows, half.columns, half.up, half.circular) == (192, 2304, 0.24, True)
     assert VIEWS["panorama"].focal_px == pytest.approx(733.4, abs=0.05)
     assert not VIEWS["titan-front"].circular
+
+
+def test_a_taller_panorama_has_the_rows_of_the_panorama_and_more():
+    half = VIEWS["panorama-tall"].scaled(0.5)
+    assert (half.rows % 16, half.columns, half.origin) == (0, 2304, (0.27, 0.06, -0.07))
+    assert half.up > 0.4453 and half.down < -0.6249  # tangents of 24 and of 32 degrees
+    slope = torch.tensor([0.2399, 0.0, -0.1, -0.2835, 0.4453, -0.6248])
+    row = [
+        pixels(torch.ones(6), torch.zeros(6), slope, view)[0].floor() for view in (half, VIEWS["panorama"].scaled(0.5))
+    ]
+    assert row[1][:4].tolist() == [0, 88, 124, 191]
+    assert (row[0][:4] - row[1][:4]).unique().tolist() == [80], "the same rows, 80 of them further down"
+    assert 0 <= row[0][4] < 16 and 384 <= row[0][5] < 400
+    default = VIEWS["panorama"].scaled(0.5)
+    assert half.between(0.24, -0.2836, 16) == default and default.between(half.up, half.down, 16) == half
+
+
+@pytest.mark.parametrize(
+    ("up", "down", "step", "rows", "ends"),
+    [
+        (0.5, -0.5, 1, 10, (0.5, -0.5)),
+        (0.31, -0.5, 1, 9, (0.4, -0.5)),
+        (0.1, -0.1, 1, 2, (0.1, -0.1)),
+        (0.51, -0.6, 4, 18, (0.9, -0.9)),
+        (0.5, 0.2, 2, 4, (0.5, 0.1)),
+    ],
+)
+def test_rows_are_added_and_left_out_in_steps(up, down, step, rows, ends):
+    view = View(rows=10, columns=20, up=0.5, down=-0.5, kind="cylinder").between(up, down, step)
+    assert (view.rows, (view.up, view.down)) == (rows, pytest.approx(ends))
 
 
 # --- complete or not at all -----------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from lidar2pano.calibration import read_calib
 from lidar2pano.cli import main
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
-from lidar2pano.labels import unpack_label
+from lidar2pano.labels import COMMON15, unpack_label
 from lidar2pano.views import KITTI_CAMERA, VIEWS
 
 pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
@@ -171,6 +171,24 @@ def test_two_processes_write_the_same_bytes_and_another_seed_others(tmp_path):
     assert one == two
     assert one["sequences/00/velodyne/000000.bin"] != one["sequences/01/velodyne/000000.bin"]
     assert one["sequences/00/velodyne/000000.bin"] != other["sequences/00/velodyne/000000.bin"]
+
+
+def test_a_taller_panorama_shows_the_same_and_more(tmp_path):
+    words = ["--frames", "1", "--seed", "5", "--place", "residential", "--save", "panorama", "--processes", "1"]
+    words += ["--view", "panorama-tall/4", "--view", RASTER, "--view", "panorama-tall/8"]
+    assert main(["world", str(tmp_path / "w"), *words]) == 0
+    folder = tmp_path / "w/sequences/00"
+    layers = {
+        name: np.array(Image.open(folder / name / "000000.png"))
+        for name in ("pano_labels", "pano_labels-4", "pano_labels-tall-8")
+    }
+    tall, plain = layers["pano_labels"], layers["pano_labels-4"]
+    assert tall.shape == (200, 1152) and layers["pano_labels-tall-8"].shape == (100, 576)
+    assert np.array_equal(tall[40:136], plain)
+    sky, road = COMMON15.id_of("sky"), COMMON15.id_of("road")
+    assert (tall[0] == sky).mean() > (plain[0] == sky).mean() and (tall[-1] == road).mean() > 0.5
+    frame = frames(tmp_path / "w", "all")[0]
+    assert (frame.panorama.view.rows, frame.panorama.view.up) == (200, VIEWS["panorama-tall"].up)
 
 
 @pytest.mark.parametrize(

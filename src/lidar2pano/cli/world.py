@@ -33,7 +33,8 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
         str, typer.Option(metavar="LIST", help="scans, camera, panorama, separated by commas; or all.")
     ] = "all",
     view: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Raster of the panorama: panorama, panorama/2; repeatable.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Raster of the panorama: panorama, panorama-tall, panorama/2; repeatable."),
     ] = None,
     processes: Annotated[int, typer.Option(min=0, metavar="N", help="Processes (0 = one a core).")] = 0,
 ) -> None:

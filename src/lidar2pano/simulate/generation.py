@@ -196,8 +196,8 @@ def _panorama(rendered: RenderedImage) -> list[Writer]:
 
 
 def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
-    """pano, pano_labels and pano_depth of the first view; with "-2" of a further "panorama/2"."""
-    part = "" if first else "-" + view.removeprefix("panorama/")
+    """pano, pano_labels and pano_depth of the first view; with "-2" of a further "panorama/2", "-tall-2" likewise."""
+    part = "" if first else "-" + view.removeprefix("panorama/").removeprefix("panorama-").replace("/", "-")
     return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth"))
 
 
