@@ -13,6 +13,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.card import Card, load, save
+from lidar2pano.models.titan_pano import evidence, with_rows
+from lidar2pano.views import VIEWS
 
 
 def _range_image(rows: int, columns: int) -> Tensor:
@@ -285,6 +287,31 @@ def test_a_raster_that_cannot_be_halved_four_times_is_named(network: str, shape:
     inputs = (torch.zeros(1, 5, *shape), torch.zeros(1, 20, *shape))[: 1 if network == "salsanext" else 2]
     with pytest.raises(InputError, match=f"{shape[0]} x {shape[1]} pixels .* multiples of 16"):
         model(*inputs)
+
+
+def test_a_row_is_numbered_by_its_elevation():
+    # the panorama's rows: 192 of (0.24 + 0.2836) / 192 each; a row's middle at tangent t has the number
+    numbers = {
+        0.24 - 0.5236 / 192 / 2: 1.0,
+        -0.2836 + 0.5236 / 192 / 2: -1.0,
+        0.44: 1 - 2 * ((0.24 - 0.44) * 192 / 0.5236 - 0.5) / 191,
+        0.0: 1 - 2 * (0.24 * 192 / 0.5236 - 0.5) / 191,
+    }
+    half = VIEWS["panorama"].scaled(0.5)
+    image = torch.rand(2, 5, 192, 32)
+    assert with_rows(image, half) is image
+    for view in (VIEWS["panorama-tall"].scaled(0.5), half.between(0.1, -0.8, 16)):
+        tall = with_rows(torch.rand(2, 5, view.rows, 32), view)
+        row = evidence(tall)[:, 4]
+        assert torch.equal(row[:, :, :1].expand_as(row), row)
+        pitch = (view.up - view.down) / view.rows
+        for tangent, number in numbers.items():
+            place = (view.up - tangent) / pitch - 0.5
+            if 0 <= place <= view.rows - 1:
+                before, after = row[0, int(place), 0], row[0, min(int(place) + 1, view.rows - 1), 0]
+                assert torch.lerp(before, after, place % 1) == pytest.approx(number, abs=1e-5)
+    tall = evidence(with_rows(torch.rand(1, 5, 400, 32), VIEWS["panorama-tall"].scaled(0.5)))[0, 4, 80:272]
+    assert torch.allclose(tall, evidence(image)[0, 4], atol=1e-6)
 
 
 @pytest.mark.parametrize("network", ["salsanext", "titan", "titan-next", "titan-pano", "pix2pix"])

@@ -16,7 +16,7 @@ from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.families import weight_files
-from lidar2pano.pipeline import Segmenter
+from lidar2pano.pipeline import Segmenter, load_translator
 from lidar2pano.train.checkpoint import check_recipe, write_recipe
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override, resolved
@@ -103,6 +103,15 @@ def test_a_segmenter_may_learn_from_scans_of_several_heights(root, tmp_path):
     assert Segmenter.from_card(network, card).tallest == VIEWS["hdl64e-tall"]
     norms = [part for part in network.modules() if isinstance(part, nn.BatchNorm2d)]
     assert all((norm.running_mean == 0).all() and (norm.running_var == 1).all() for norm in norms)
+
+
+def test_a_translator_may_learn_a_taller_panorama(root, tmp_path):
+    tall = ("view=panorama-tall", "scale=0.1", "options.columns=160")
+    train(small("titan-pano-mini", *tall), root, tmp_path, device="cpu")
+    file = tmp_path / "weights/translator.safetensors"
+    _, card, view = load_translator(file, torch.device("cpu"))
+    assert (card.views["panorama"]["rows"], card.views["panorama"]["up"]) == (80, VIEWS["panorama-tall"].up)
+    assert view.rows == 48 and view.up == 0.24, "by default it is used on the panorama's rows"
 
 
 def test_a_segmenter_may_read_roughness(root, tmp_path):

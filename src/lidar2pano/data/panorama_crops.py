@@ -114,10 +114,11 @@ class PanoramaDataset:
         """Return (256,) int64: pixels of each camera label, in up to 500 evenly spaced frames."""
         counts = np.zeros(256)
         for frame in (self.frames[index] for index in evenly_spaced(len(self))):
-            if frame.panorama_labels is None:
+            ids = frame.panorama_labels
+            if ids is None or not _is_like(ids, self.view):
                 labels = self._camera_labels(frame)[1].numpy()
             else:  # as `_camera_labels` has them, without reading the panorama itself
-                labels = resized(frame.panorama_labels, self.view, Image.Resampling.NEAREST)
+                labels = resized(ids, self.view, Image.Resampling.NEAREST)
                 labels = np.where(labels == 0, IGNORE, labels)
             counts += np.bincount(labels.ravel(), minlength=256)
         return counts
@@ -212,18 +213,20 @@ def without_sector(scan: Scan, generator: np.random.Generator) -> Scan:
 def panorama_on(frame: Frame, view: View, camera_labels: bool = False) -> PanoramaGroundTruth:
     """Return a frame's true panorama, labels and depths included, on the raster `view` around the camera.
 
-    Colours are means of pixels, labels and depths the nearest pixel's. InputError if the frame has none of them, or
-    its panorama is of another shape. camera_labels: labels may be None.
+    Colours are means of pixels, labels and depths the nearest pixel's; rows beyond the panorama are not valid, 0 in all
+    layers. InputError if the frame has none of them, or its panorama is of another shape. camera_labels: labels may be
+    None.
     """
     panorama = frame.panorama_for(view)
     if panorama is None:
         raise InputError(frame.missing("panorama"))
+    panorama = _as_tall(panorama, view)
     rows, columns = panorama.valid.shape
     if panorama.labels is None and not camera_labels:
         raise InputError(frame.missing("panorama_labels"))
     if panorama.depth_m is None:
         raise InputError(frame.missing("panorama_depths"))
-    if abs(columns * view.rows - rows * view.columns) > view.columns:
+    if not _is_like(panorama.valid, view):
         raise InputError(
             f"{frame.name}: its panorama is {columns}x{rows}; one like {view.columns}x{view.rows} is needed"
         )
@@ -236,6 +239,31 @@ def panorama_on(frame: Frame, view: View, camera_labels: bool = False) -> Panora
         labels=None if panorama.labels is None else resized(panorama.labels, view, Image.Resampling.NEAREST),
         depth_m=panorama.depth_m[row[:, None], column],
     )
+
+
+def _is_like(layer: np.ndarray, view: View) -> bool:
+    """Return whether a layer (h, w) has as many rows for its columns as a raster, within one."""
+    rows, columns = layer.shape
+    return abs(columns * view.rows - rows * view.columns) <= view.columns
+
+
+def _as_tall(panorama: PanoramaGroundTruth, view: View) -> PanoramaGroundTruth:
+    """Return the panorama with as many rows more or fewer, above and below, as the raster `view` asks for."""
+    held = panorama.view
+    if held.kind != view.kind:
+        return panorama
+    pitch = (held.up - held.down) / held.rows
+    rows_up, rows_down = (round(beyond / pitch) for beyond in (view.up - held.up, held.down - view.down))
+    if not (rows_up or rows_down):
+        return panorama
+    kept, added = slice(max(-rows_up, 0), held.rows - max(-rows_down, 0)), (max(rows_up, 0), max(rows_down, 0))
+    layers = {
+        name: np.pad(layer[kept], [added, *[(0, 0)] * (layer.ndim - 1)])
+        for name in ("image", "valid", "labels", "depth_m")
+        if (layer := getattr(panorama, name)) is not None
+    }
+    ends = {"up": held.up + rows_up * pitch, "down": held.down - rows_down * pitch}
+    return replace(panorama, view=replace(held, rows=held.rows + rows_up + rows_down, **ends), **layers)
 
 
 def resized(pixels: np.ndarray, view: View, resampling: Image.Resampling) -> np.ndarray:

@@ -27,7 +27,7 @@ from lidar2pano.models import families
 from lidar2pano.models.card import Card, load, read_card
 from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_painter import Past, Vid2VidPainter
-from lidar2pano.pipeline import Segmenter, assemble, card_view, load_painter, load_part, load_segmenter
+from lidar2pano.pipeline import Segmenter, assemble, card_view, load_painter, load_segmenter, load_translator
 from lidar2pano.scene.depth import depth_code
 from lidar2pano.views import VIEWS, View, sensor_view
 
@@ -284,8 +284,7 @@ def _info(name: str, files: Mapping[str, Path]) -> SystemInfo:
 def _panorama(
     name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device, engine: str
 ) -> PanoramaSystem:
-    translator, card = load_part(files["translator"], device, expect="titan-pano", engine=engine)
-    view = card_view(files["translator"], card, "panorama")
+    translator, _, view = load_translator(files["translator"], device, engine)
     first = files.get("first-frame painter")
     painter = load_painter(files["painter"], first, view, device, engine)[0] if "painter" in files else NoPainter()
     return PanoramaSystem(

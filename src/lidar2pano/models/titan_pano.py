@@ -17,6 +17,7 @@ towards its sides, means nothing all around: columns are taken for azimuth.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
@@ -32,6 +33,7 @@ from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.scene.depth import FAR_M, LOG_FAR, complete_depth
 from lidar2pano.views import FULL_TURN, VIEWS, View
 
+CHANNELS = 5  # of a RangeImage
 STRIDE = 16  # input pixels per pixel of the coarsest level
 PANORAMA = VIEWS["panorama"].scaled(0.5)  # 192 x 2304, the raster of the classes
 OVERLAP = 8  # part of the front view's columns that the turn goes on beyond each of its ends
@@ -79,7 +81,8 @@ class TitanPano(nn.Module):
     def forward(self, image: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
         """Predict classes and depth everywhere, also without a point.
 
-        image      (B, 5, H, W): a RangeImage's channels (range, x, y, z in metres, remission; zero where empty).
+        image      (B, 5, H, W): a RangeImage's channels (range, x, y, z in metres, remission; zero where empty); on
+                   other elevations than the panorama's `with_rows`, (B, 6, H, W).
         condition  (B, conditions, H, W): one-hot LiDAR segments; all zero or unlabeled where empty.
         Returns logits (B, classes, H, W) and depth (B, H, W), metres along the ray, float32.
         Raises InputError unless H and W are multiples of 16.
@@ -118,13 +121,32 @@ class GlobalContext(nn.Module):
 def evidence(image: Tensor) -> Tensor:
     """Make the network's channels of a range image (B, 5, H, W): five of order one, the same in every direction.
 
-    log range, height z / 4 m, remission, whether a point is there, and the row (as a number in [-1, 1]).
+    log range, height z / 4 m, remission, whether a point is there, and the row (as a number in [-1, 1]): a sixth
+    channel's, if there is one.
     """
     range_m, z, remission = image[:, 0], image[:, 3], image[:, 4]
     valid = (range_m > 0).to(image.dtype)
-    row = torch.linspace(1, -1, image.shape[2], device=image.device, dtype=image.dtype)
-    row = row[None, :, None].expand_as(range_m)
+    if image.shape[1] == CHANNELS:
+        row = torch.linspace(1, -1, image.shape[2], device=image.device, dtype=image.dtype)
+        row = row[None, :, None].expand_as(range_m)
+    else:
+        row = image[:, CHANNELS]
     return torch.stack([torch.log1p(range_m) / LOG_FAR, z / 4, remission, valid, row], 1)
+
+
+def with_rows(channels: Tensor, view: View) -> Tensor:
+    """Return channels (B, 5, H, W) on a cylinder with a sixth, the row: of one elevation the same on every raster.
+
+    It goes from 1 to -1 between the panorama's borders and on beyond them. On the panorama's own elevations the
+    channels stay as they are: the network numbers these rows itself.
+    """
+    if math.isclose(view.up, PANORAMA.up) and math.isclose(view.down, PANORAMA.down):
+        return channels
+    pitch = (view.up - view.down) / view.rows
+    rows = (PANORAMA.up - PANORAMA.down) / pitch
+    number = torch.arange(view.rows, dtype=torch.float64) + (PANORAMA.up - view.up) / pitch
+    row = (1 - 2 * number / (rows - 1)).to(channels)
+    return torch.cat([channels, row[:, None].expand_as(channels[:, :1])], 1)
 
 
 class FrontAllAround(nn.Module):

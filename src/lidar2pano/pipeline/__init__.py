@@ -6,6 +6,7 @@ from lidar2pano.pipeline.assembly import (
     load_painter,
     load_part,
     load_segmenter,
+    load_translator,
     made_fast,
 )
 from lidar2pano.pipeline.segmenter import Segmenter
@@ -22,5 +23,6 @@ __all__ = [
     "load_painter",
     "load_part",
     "load_segmenter",
+    "load_translator",
     "made_fast",
 ]

@@ -21,7 +21,7 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.families import FRONT_VIEW, role
 from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.stream_painter import StreamPainter
-from lidar2pano.models.titan_pano import FrontAllAround
+from lidar2pano.models.titan_pano import PANORAMA, STRIDE, FrontAllAround
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.pipeline.segmenter import Segmenter
@@ -65,11 +65,14 @@ def load_parts(files: Mapping[str, Path], device: str | torch.device, engine: st
 def load_translator(file: Path, device: torch.device, engine: str = "torch") -> tuple[nn.Module, Card, View]:
     """The translator of a weight file, ready for inference, its card, and the raster that it predicts.
 
+    The panorama's rows are enough by default: the raster of one that learned more is not taller.
     One of the paper's kind (FRONT_VIEW) runs all around, in torch. InputError where the file holds something else.
     """
     if read_card(file).network not in FRONT_VIEW:
         translator, card = load_part(file, device, expect="titan-pano", engine=engine)
-        return translator, card, card_view(file, card, "panorama")
+        learned = card_view(file, card, "panorama")
+        up, down = min(learned.up, PANORAMA.up), max(learned.down, PANORAMA.down)
+        return translator, card, learned.between(up, down, STRIDE)
     network, card = load_weights(file, device)
     normalise = validated(Normalisation, card.normalisation, f"{file}: the card's normalisation")
     panoramic = FrontAllAround(network, card_view(file, card, "input"), normalise)

@@ -18,6 +18,7 @@ from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
+from lidar2pano.models.titan_pano import with_rows
 from lidar2pano.scene.depth import depth_code
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores, vary
 from lidar2pano.train.task import Teacher, build_networks, device_of, label_preview, load_segmenter, segmentation_scores
@@ -83,7 +84,7 @@ class PanoramaTranslation:
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """One update of the translator."""
-        inputs = batch.range_image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
+        inputs = with_rows(batch.range_image, self.view), one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
         logits, depth_m = self.networks["translator"](*inputs)
         logits = logits.float()
         self.weights = self.weights.to(logits.device)  # once
@@ -108,7 +109,7 @@ class PanoramaTranslation:
         device = device_of(network)
         condition = one_hot_layers(sample.segments[None].to(device), len(SEMANTIC_KITTI))
         with torch.inference_mode(), fast_arithmetic(device):
-            logits, _ = network(sample.range_image[None].to(device), condition)
+            logits, _ = network(with_rows(sample.range_image[None].to(device), self.view), condition)
         return logits[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
