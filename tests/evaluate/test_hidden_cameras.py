@@ -28,7 +28,7 @@ QUARTER = VIEWS["panorama"].scaled(0.25)
 
 
 class Grey:
-    """A pipeline with the true depths of the painted place, and one colour."""
+    """A pipeline with the true depths of the painted place, and one colour: grey, or the mean of what cameras show."""
 
     device = torch.device("cpu")
 
@@ -52,7 +52,11 @@ class Grey:
         )
 
     def paint(self, memory, scene, timer, cameras=()) -> tuple[object, Panorama]:
-        return memory, compose(scene, photographed(scene, cameras)) if cameras else scene
+        if not cameras:
+            return memory, scene
+        real = photographed(scene, cameras)
+        level = float(real.colour[:, real.source > 0].mean())
+        return memory, compose(replace(scene, colour=np.full_like(scene.colour, round(level))), real)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +107,7 @@ def test_cameras_that_meter_tell_the_exposure_of_a_hidden_one(place):
         alone, helped = (view.predicted[system][view.valid].mean() for system in SYSTEMS)
         assert alone == 128, "nothing tells the exposure of a scan"
         off.append(abs(helped - view.real[view.valid].mean()))
-    assert np.mean(off) < 2.5, "3.9 without it"
+    assert np.mean(off) < 2.5, "3.5 without it"
 
 
 def test_scores_say_what_the_other_cameras_bring(place, tmp_path):

@@ -20,7 +20,6 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.projection import Normalisation, directions, one_hot_layers, project
 from lidar2pano.geometry.rasters import upsample_azimuth, upsample_classes
-from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import LEAST_IMAGES, Memory, Surroundings, fused
@@ -31,11 +30,10 @@ from lidar2pano.models.card import read_card, save
 from lidar2pano.models.families import licence_note, weight_files
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import PaperPipeline, Segmenter, load, stages
+from lidar2pano.pipeline import PaperPipeline, Segmenter, load
 from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import measured_depth
 from lidar2pano.views import VIEWS, View
-from miniature_surround import camera
 from random_weights import LICENCE, PAINTER, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
 
 SKY = COMMON15.id_of("sky")
@@ -544,16 +542,6 @@ def test_looks_that_are_files_are_painted(random_weights, tmp_path, capsys):
     one = f"{random_weights}+{tmp_path / 'both' / 'kitti.safetensors'}"
     assert main([*command[:-1], one, "--look", "dusk", "--out", str(tmp_path / "dusk")]) == 2
     assert "no look 'dusk'" in capsys.readouterr().err
-
-
-def test_cameras_guide_latent_painters_alone(random_weights, tmp_path, monkeypatch):
-    guided = []
-    monkeypatch.setattr(stages, "compose", lambda panorama, real, **options: guided.append(options) or panorama)
-    video = write_weights(tmp_path, "video", "vid2vid", GENERATOR)
-    ahead = Camera(np.full((300, 480, 3), 150, dtype=np.uint8), camera(0.0, (0.0, 0.0, 0.0)))
-    for weights in (random_weights, f"{random_weights}+{video}"):
-        load(weights, "cpu", "torch")(street(), [ahead])
-    assert guided == [{"guided": True}, {"guided": False}]
 
 
 def test_a_latent_painter_has_qualities_and_several_pictures(random_weights, tmp_path, capsys):

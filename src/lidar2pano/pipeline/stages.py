@@ -307,7 +307,7 @@ class Pipeline:
             panorama = replace(panorama, colour=colour.contiguous().cpu().numpy(), milliseconds=timer.milliseconds)
         if real:
             with timer("cameras"):
-                panorama = compose(panorama, real, guided=isinstance(self.painter, LatentPainter))
+                panorama = compose(panorama, real)
         return replace(memory, frames=memory.frames + 1, painted=painted), panorama
 
     def _densified(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
