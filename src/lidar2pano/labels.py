@@ -173,6 +173,11 @@ _FROM_CITYSCAPES = {
     "traffic sign": "traffic-sign", "rider": "person", "bus": "other-vehicle", "train": "other-vehicle",
     "wall": "fence", "traffic light": "traffic-sign",
 }  # fmt: skip
+# SemanticKITTI's fences hold small walls (Behley et al. 2019, appendix); what a camera calls sky is no point's class.
+_KITTI_FROM_CITYSCAPES = {
+    "sky": "unlabeled", "wall": "fence", "rider": "bicyclist", "bus": "other-vehicle", "train": "other-vehicle",
+    "traffic light": "traffic-sign", "traffic sign": "traffic-sign",
+}  # fmt: skip
 # And back, for classes of ours with several of theirs.
 _TO_CITYSCAPES = {"other-vehicle": "bus", "traffic-sign": "traffic sign"}
 
@@ -181,6 +186,7 @@ TABLES: dict[tuple[str, str], np.ndarray] = {
     ("semantic-kitti", "common-15"): SEMANTIC_KITTI.table_to(COMMON15, _FROM_KITTI),
     ("cityscapes", "common-14"): CITYSCAPES.table_to(COMMON14, _FROM_CITYSCAPES | {"sky": "unlabeled"}),
     ("cityscapes", "common-15"): CITYSCAPES.table_to(COMMON15, _FROM_CITYSCAPES),
+    ("cityscapes", "semantic-kitti"): CITYSCAPES.table_to(SEMANTIC_KITTI, _KITTI_FROM_CITYSCAPES),
     ("common-15", "common-14"): COMMON15.table_to(COMMON14, {"sky": "unlabeled"}),
     ("common-14", "common-15"): COMMON14.table_to(COMMON15, {}),
     ("common-15", "cityscapes-ids"): COMMON15.table_to(CITYSCAPES_IDS, _TO_CITYSCAPES),

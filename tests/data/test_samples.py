@@ -7,15 +7,16 @@ import pytest
 import torch
 from PIL import Image
 
+from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_pairs import FrontViewDataset
-from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced
+from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
-from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented
+from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented, labelled_scan
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import project
-from lidar2pano.labels import COMMON14, COMMON15
+from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI
 from lidar2pano.scan import Scan, change_sensor_remission, drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
@@ -27,6 +28,38 @@ RASTER = VIEWS["panorama"].scaled(1 / 8)
 @pytest.fixture
 def root(tmp_path):
     return write_data_set(tmp_path)
+
+
+def test_points_without_labels_take_the_classes_that_a_camera_shows():
+    # a camera a metre to the sensor's left, 100 pixels per radian: cars on its left, road on its right, sky above
+    ids = np.full((200, 400), 0, np.uint8)
+    ids[:, :200], ids[:50] = 13, 10
+    calibration = Calibration(
+        K=np.array([[100.0, 0, 199.5], [0, 100.0, 99.5], [0, 0, 1]]),
+        T_camera_lidar=np.array([[0.0, -1, 0, 1], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
+        size=(400, 200),
+    )
+    y, z = (places.ravel() for places in np.meshgrid(np.arange(2, 8, 0.04), np.arange(-1, 1, 0.04)))
+    wall = np.stack([np.full_like(y, 10.0), y, z], 1)  # in the car's pixels
+    places = {
+        (20, 5, 0.1): "unlabeled",  # behind the wall
+        (30, -5, 0): "road",
+        (10, 5, 8): "unlabeled",  # in the sky
+        (-10, 5, 0): "unlabeled",  # behind the camera
+        (10, 50, 0): "unlabeled",  # beside its image
+        (0, 0, 0): "unlabeled",  # no echo
+    }
+    xyz = np.concatenate([wall, list(places)]).astype(np.float32)
+    scan = Scan(xyz=xyz, remission=np.zeros(len(xyz), np.float32))
+    parts = {"scan": scan, "camera_labels": ids, "calibration": calibration}
+    label = labelled_scan(Frame("0/000000", **parts)).label
+    assert label is not None
+    names = [SEMANTIC_KITTI.classes[index] for index in label]
+    assert set(names[: len(wall)]) == {"car"} and names[len(wall) :] == list(places.values())
+    own = np.arange(len(xyz)) % 20
+    assert np.array_equal(labelled_scan(Frame("0/000000", **parts, point_labels=own)).label, own)
+    with pytest.raises(InputError, match="no point labels"):
+        labelled_scan(Frame("0/000000", scan=scan))
 
 
 def test_frames_come_in_the_order_of_their_split(root):

@@ -62,12 +62,14 @@ CITYSCAPES_TO_COMMON15 = {
     "motorcycle": "motorcycle",
     "bicycle": "bicycle",
 }
+CITYSCAPES_TO_KITTI = CITYSCAPES_TO_COMMON15 | {"sky": "unlabeled", "rider": "bicyclist"}
 ITSELF = {name: name for name in COMMON14.classes}
 BY_HAND = {
     ("semantic-kitti", "common-14"): KITTI_TO_COMMON,
     ("semantic-kitti", "common-15"): KITTI_TO_COMMON,
     ("cityscapes", "common-14"): CITYSCAPES_TO_COMMON15 | {"sky": "unlabeled"},
     ("cityscapes", "common-15"): CITYSCAPES_TO_COMMON15,
+    ("cityscapes", "semantic-kitti"): CITYSCAPES_TO_KITTI,
     ("common-15", "common-14"): ITSELF | {"sky": "unlabeled"},
     ("common-14", "common-15"): ITSELF,
     ("common-15", "cityscapes-ids"): ITSELF | {"sky": "sky", "other-vehicle": "bus", "traffic-sign": "traffic sign"},

@@ -245,8 +245,7 @@ def _forget_wakeup_in_children() -> None:
 
 def exit_status(error: BaseException) -> tuple[int, str]:
     """Return exit code and line on stderr for an exception."""
-    if (interruption := _interruption(error)) is not None:
-        return exit_status(interruption)
+    error = _interruption(error) or error
     rules: list[tuple[type[BaseException], int, str]] = [
         (InputError, MISTAKE, str(error)),
         (FloatingPointError, BROKEN, str(error)),

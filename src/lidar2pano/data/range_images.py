@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from lidar2pano.data.cache import LruCache
-from lidar2pano.data.frames import SampleIndex, evenly_spaced
+from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.formats.interpretation import STAND_IN
-from lidar2pano.geometry.projection import Normalisation, fitted_view, project
-from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.geometry.projection import Normalisation, directions, fitted_view, project
+from lidar2pano.geometry.stitching import Camera, homogeneous, look
+from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, TABLES
 from lidar2pano.scan import (
     Scan,
     change_sensor_remission,
@@ -26,7 +27,9 @@ from lidar2pano.scan import (
     turn,
     vary_remission,
 )
-from lidar2pano.views import View
+from lidar2pano.scene.depth import complete_depth
+from lidar2pano.scene.surfaces import hides
+from lidar2pano.views import VIEWS, View
 
 # Heights of the bands of elevation left out by two augmentations.
 HDL64E_BEAM_DEG = 0.42  # of one beam: between neighbours of an HDL-64E's 64 beams within 26.8 degrees
@@ -102,13 +105,16 @@ class RangeImageDataset:
 
     def scan(self, index: int) -> Scan:
         """Return the labelled scan of a frame."""
-        return self._cache.get(index, lambda: self.frames[index].labelled_scan())
+        return self._cache.get(index, lambda: labelled_scan(self.frames[index]))
 
     def class_counts(self) -> np.ndarray:
         """Return (K,) int64: points of each class of SEMANTIC_KITTI, in up to 500 evenly spaced frames."""
-        frames = (self.frames[index] for index in evenly_spaced(len(self)))
-        labels = (frame.require("point_labels")[0] for frame in frames)
-        return sum((np.bincount(ids, minlength=len(SEMANTIC_KITTI)) for ids in labels), np.zeros(len(SEMANTIC_KITTI)))
+        counts = np.zeros(len(SEMANTIC_KITTI))
+        for index in evenly_spaced(len(self)):
+            label = labelled_scan(self.frames[index]).label
+            assert label is not None
+            counts += np.bincount(label, minlength=len(counts))
+        return counts
 
     def __getitem__(self, key: SampleIndex | int) -> RangeImageSample:
         """Return the sample: augmented by the seed of a SampleIndex, or the plain whole range image for an int."""
@@ -125,6 +131,28 @@ class RangeImageDataset:
         range_image = project(scan, fitted_view(scan, self.view, self.tallest))
         assert scan.label is not None
         return RangeImageSample(self.normalise(range_image), range_image.spread(torch.from_numpy(scan.label)), name)
+
+
+def labelled_scan(frame: Frame) -> Scan:
+    """Return a frame's scan with its labels; where the data have none, with the classes of a labelled image.
+
+    These are of the points in the camera's sight alone, before which no other surface stands; the others stay
+    unlabeled. InputError without either.
+    """
+    if frame.point_labels is not None or frame.camera_labels is None:
+        return frame.labelled_scan()
+    scan, ids, calibration = frame.require("scan", "camera_labels", "calibration")
+    xyz = torch.from_numpy(scan.xyz)
+    points = torch.cat([xyz.where(xyz.any(1, keepdim=True), torch.nan), torch.ones(len(xyz), 1)], 1).T
+    camera = Camera(image=np.broadcast_to(ids[..., None], (*ids.shape, 3)), calibration=calibration)
+    view = VIEWS["panorama"]
+    surfaces = homogeneous(directions(view), complete_depth(xyz, view), view.origin).flatten(1)
+    sight = look(camera, points, view.focal_px, hides, surfaces)
+    classes = np.zeros(256, np.int64)
+    classes[: len(CITYSCAPES)] = TABLES[CITYSCAPES.name, SEMANTIC_KITTI.name]
+    label = np.zeros(len(scan), np.int64)
+    label[sight.surface.numpy()] = classes[sight.lookup.nearest(torch.from_numpy(ids)).numpy()]
+    return replace(scan, label=label)
 
 
 def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugmentation) -> Scan:
