@@ -10,13 +10,14 @@ import pytest
 
 import sample_files as made
 from lidar2pano.cli import main
+from lidar2pano.cli.inspect import described
 from lidar2pano.errors import InputError
 from lidar2pano.formats import sensor_placement
-from lidar2pano.formats.beams import find_beams, horizontal_centre, sharpest_origin
+from lidar2pano.formats.beams import Beams, find_beams, horizontal_centre, sharpest_origin
 from lidar2pano.formats.interpretation import STAND_IN, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
 from lidar2pano.formats.readers import interpreted, read
-from lidar2pano.formats.sensor_placement import SENSOR_HEIGHT_M, blind_radii, fit_ground
+from lidar2pano.formats.sensor_placement import LEVELLED, SENSOR_HEIGHT_M, blind_radii, fit_ground
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, columns_between
 
@@ -313,6 +314,51 @@ def test_sensors_are_named_by_their_beams():
     assert beams is not None
     vlp16 = replace(beams, elevations_deg=tuple(np.linspace(15, -15, 16)))
     assert "Velodyne VLP-16" in vlp16.sensor()
+
+
+def test_beams_begin_above_the_origin_and_away_from_x():
+    """The lenses of KITTI's HDL-64E lie .2 m above the origin: near walls raise its beams by degrees."""
+    elevations = np.linspace(10, -25, 32)
+    quarter = XYZ[:, [1, 0, 2]] * (1, -1, 1)  # its beams start to the right
+    for points in (XYZ + (0, 0, 0.2), XYZ[::-1] + (0, 0, 0.2), quarter.astype(np.float32)):
+        beams = find_beams(points)
+        assert beams is not None and beams.found_by == "file order"
+        np.testing.assert_allclose(beams.elevations_deg, elevations, atol=0.05)
+    swapped = np.random.default_rng(0).permutation(32)
+    shuffled = np.concatenate([XYZ[ring == RING][np.argsort(XYZ[ring == RING][:, 2])] for ring in swapped])
+    assert (beams := find_beams(shuffled)) is None or beams.found_by != "file order"
+
+
+@pytest.mark.parametrize("turned", ["sensor", "points"])
+def test_beams_of_a_tilted_scan_are_found(turned: str):
+    """A tilted sensor's beams are cones about its own axis, those of points turned afterwards about the plumb line."""
+    if turned == "points":
+        xyz = XYZ @ np.array([[np.cos(0.14), 0, -np.sin(0.14)], [0, 1, 0], [np.sin(0.14), 0, np.cos(0.14)]])
+    else:
+        elevation, azimuth = np.radians(np.linspace(10, -25, 32))[:, None], np.radians(np.arange(0, 360, 0.5))[None]
+        ray = np.stack(np.broadcast_arrays(np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                                           np.sin(elevation)), -1).reshape(-1, 3)  # fmt: skip
+        ground = 1.8 / np.maximum(-ray @ (0.14, 0, 1), 1e-9)
+        xyz = ray * np.minimum(np.minimum(ground, 9 / np.maximum(np.abs(ray[:, 1]), 1e-9)), 60)[:, None]
+    record = described(*interpret(cloud(xyz.astype(np.float32), None)))
+    assert record["turn_by"] == LEVELLED
+    np.testing.assert_allclose(record["elevations_deg"], np.linspace(10, -25, 32), atol=0.1)
+
+
+def test_a_sensor_is_known_though_the_sky_and_the_vehicle_hide_its_outermost_beams():
+    whole = Beams(
+        elevations_deg=(15, 11, 8, 5, 3, *np.linspace(2, -6, 49), *range(-7, -15, -1), -19, -25), found_by="ring"
+    )
+    assert whole.sensor() == "Hesai Pandar64"
+    assert replace(whole, elevations_deg=whole.elevations_deg[1:-1]).sensor() == "Hesai Pandar64"
+    assert replace(whole, elevations_deg=whole.elevations_deg[5:-1]).sensor() == ""
+
+
+def test_beams_of_real_drives_are_found(kitti_mini: Path):
+    scans = sorted(kitti_mini.glob("sequences/*/velodyne/*.bin"))[::7]
+    found = [find_beams(read(file).xyz) for file in scans]
+    assert [(file, beams) for file, beams in zip(scans, found, strict=True) if beams is None] == []
+    assert {(len(beams.elevations_deg), beams.sensor()) for beams in found if beams} == {(64, "Velodyne HDL-64E")}
 
 
 def test_a_scan_takes_beams_and_times():

@@ -98,8 +98,11 @@ def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
     """Describe how a scan was read, and its contents: ranges, beams, sensor."""
     from lidar2pano.formats.beams import find_beams
     from lidar2pano.formats.plausibility import narrow_view
+    from lidar2pano.formats.sensor_placement import LEVELLED
 
-    beams = find_beams(scan.xyz, scan.ring)
+    tilted = interpretation.turn_by == LEVELLED  # a sensor's beams are cones about its own axis
+    own = find_beams(scan.xyz @ interpretation.rotation, scan.ring) if tilted else None
+    beams = own or find_beams(scan.xyz, scan.ring)
     reading = interpretation.as_dict()
     reading["gaps_deg"], _ = [list(gap) for gap in interpretation.gaps_deg], reading.pop("invented")
     if narrow := narrow_view(interpretation.gaps_deg):

@@ -14,10 +14,11 @@ FEWEST, MOST = 4, 300  # beams of a sensor
 FEWEST_POINTS = 20  # of a beam
 ORDERED = 0.97  # share of steps below ORDERED_DEG along a file of one beam after the other
 ORDERED_DEG = 3.0
-WRAP_DEG = 180.0
+BACK_DEG = 10.0  # steps back beyond parallax, which a vehicle's motion makes in scans that were corrected for it
+ROUNDING = 1e-6  # of a turn: equal angles differ by less
 WIDEST_DEG = 0.5  # between the quartiles of a beam's elevations
 NEAR_DEG = 2.0  # elevations of a sensor's outermost beams agree so well
-SKY_DEG = 6.0  # or the highest with returns lies so far below, if a beam above it saw the sky only
+HIDDEN, HIDDEN_DEG = 4, 6.5  # or so many are missing, which met the sky or the vehicle alone; a Pandar64 has gaps of 6
 # Of the search for the sensor's place.
 CONE_BIN_DEG, SMOOTH = 0.05, 31  # of the histogram of elevations, and of the smoothed one it is compared with
 MOST_DEG = 35.0
@@ -64,13 +65,16 @@ class Beams:
         """Return the names of the sensors of SENSORS with such beams, "" if there is none."""
         if not self.elevations_deg:
             return ""
-        up, down = self.elevations_deg[0], self.elevations_deg[-1]
+        return self._like(NEAR_DEG) or self._like(HIDDEN_DEG)  # the vehicle hides beams more seldom than the sky
+
+    def _like(self, hidden_below_deg: float) -> str:
+        up, down, found = self.elevations_deg[0], self.elevations_deg[-1], len(self.elevations_deg)
         return " or ".join(
             name
             for name, (count, highest, lowest) in SENSORS.items()
-            if abs(count - len(self.elevations_deg)) <= 0.04 * count
-            and -NEAR_DEG < highest - up < (NEAR_DEG if len(self.elevations_deg) >= count else SKY_DEG)
-            and abs(lowest - down) < NEAR_DEG
+            if -0.04 * count <= count - found <= HIDDEN
+            and -NEAR_DEG < highest - up < (NEAR_DEG if found >= count else HIDDEN_DEG)
+            and -NEAR_DEG < down - lowest < (NEAR_DEG if found >= count else hidden_below_deg)
         )
 
 
@@ -84,16 +88,13 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     points = xyz[near]
     if len(points) < FEWEST_POINTS * FEWEST:
         return None
-    elevation = _elevations(points)
     if ring is not None:
-        return _of_rings(elevation, ring[near], "ring")
-    if (number := _numbers_by_turn(points)) is not None:
-        width = [np.ptp(np.percentile(elevation[number == turn], (25, 75))) for turn in range(int(number[-1]) + 1)]
-        if np.median(width) < WIDEST_DEG:
-            return _of_rings(elevation, number, "file order")
+        return Beams(elevations_deg=_of_rings(points, ring[near])[1], found_by="ring")
+    if beams := _by_turns(points):
+        return beams
     if sharpness(points, np.zeros(3)) < GATHERED:
         return None
-    return _of_peaks(elevation)
+    return _of_peaks(_elevations(points))
 
 
 def _elevations(xyz: np.ndarray) -> np.ndarray:
@@ -103,24 +104,58 @@ def _elevations(xyz: np.ndarray) -> np.ndarray:
     return np.degrees(elevation, out=elevation)
 
 
-def _numbers_by_turn(xyz: np.ndarray) -> np.ndarray | None:
-    """Return the numbers (N,) of beams of a file that holds one beam after the other; None for another order."""
-    turn = np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0], dtype=np.float64))
-    turn -= turn[0]
-    turn %= 360
-    turn = np.diff(turn)
-    np.abs(turn, out=turn)
-    wraps = turn > WRAP_DEG
-    wraps &= np.diff(np.flatnonzero(wraps), prepend=-len(wraps)).min(initial=len(wraps)) >= FEWEST_POINTS
-    if not FEWEST <= wraps.sum() < MOST or (turn < ORDERED_DEG)[~wraps].mean() <= ORDERED:
+def _by_turns(xyz: np.ndarray) -> Beams | None:
+    """Return the beams of a file that holds one after the other; None for another order, and points on no cones.
+
+    A beam starts where the first one does, or ends where the last one does: the highest may see the sky alone there.
+    """
+    if (turned := _turned(xyz)) is None:
         return None
-    return np.cumsum(np.concatenate([[False], wraps]), dtype=np.int16)
+    starts = (turned[0] - ROUNDING, turned[-1] + ROUNDING)
+    width_deg, elevations_deg = min(_of_rings(xyz, np.floor(turned - start).astype(np.int16)) for start in starts)
+    return Beams(elevations_deg=elevations_deg, found_by="file order") if width_deg < WIDEST_DEG else None
 
 
-def _of_rings(elevation: np.ndarray, ring: np.ndarray, found_by: str) -> Beams | None:
-    values, counts = np.unique(ring, return_counts=True)
-    medians = [float(np.median(elevation[ring == value])) for value in values[counts >= FEWEST_POINTS][:MOST]]
-    return Beams(elevations_deg=tuple(sorted(medians, reverse=True)), found_by=found_by) if medians else None
+def _turned(xyz: np.ndarray) -> np.ndarray | None:
+    """Return how many turns (N,) a head had made at each point; None if a file's order is not that of the beams' turns.
+
+    It turns one way only: a step back of more than BACK_DEG is the rest of a turn, to the next beam's start.
+    """
+    step = np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0], dtype=np.float64))
+    step[1:] -= step[:-1].copy()
+    step[0] = 0.0
+    if np.count_nonzero(step < 0) > np.count_nonzero(step > 0):  # clockwise
+        np.negative(step, out=step)
+    step += BACK_DEG
+    step %= 360
+    step -= BACK_DEG
+    small = (np.abs(step) < ORDERED_DEG).mean()
+    np.cumsum(step, out=step)
+    step /= 360
+    return step if FEWEST <= step[-1] + 1 < MOST and small + step[-1] / len(step) > ORDERED else None
+
+
+def _of_rings(xyz: np.ndarray, ring: np.ndarray) -> tuple[float, tuple[float, ...]]:
+    """Return the median of the beams' widths in degrees, and their elevations; `ring`: (N,) their numbers."""
+    values, number, counts = np.unique(ring, return_inverse=True, return_counts=True)
+    elevation = _elevations(xyz - (0, 0, _height_of_cones(xyz, number, len(values))))
+    chosen = np.flatnonzero(counts >= FEWEST_POINTS)[:MOST]
+    low, middle, high = np.array([np.percentile(elevation[number == beam], (25, 50, 75)) for beam in chosen]).T
+    return float(np.median(high - low)), tuple(sorted(middle.tolist(), reverse=True))
+
+
+def _height_of_cones(xyz: np.ndarray, number: np.ndarray, beams: int) -> float:
+    """Return the height h in metres of the cones' common apex above the origin: least squares of z = h + slope x range.
+
+    Beams begin at lenses, which lie .12 to .21 m above the origin of KITTI's HDL-64E. The slopes, one a beam, are
+    eliminated.
+    """
+    distance, z = np.hypot(xyz[:, 0], xyz[:, 1], dtype=np.float64), xyz[:, 2].astype(np.float64)
+    count, to_first = np.bincount(number, minlength=beams), np.bincount(number, distance, beams)
+    squared, height = np.bincount(number, distance**2, beams), np.bincount(number, z, beams)
+    share = to_first / np.maximum(squared, 1e-9)
+    seen = count - share * to_first
+    return float((height - share * np.bincount(number, distance * z, beams)).sum() / max(seen.sum(), 1e-9))
 
 
 def _of_peaks(elevation: np.ndarray) -> Beams | None:

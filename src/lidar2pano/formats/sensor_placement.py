@@ -30,6 +30,7 @@ OWN_M, BLIND_M = 1.2, 15.0  # nearer echoes are the vehicle's; farther ground is
 SENSOR_HEIGHT_M = 1.73  # above the road, of the training data's sensor (KITTI's HDL-64E)
 FORWARD = {"x": (1, 0), "y": (0, 1), "-x": (-1, 0), "-y": (0, -1)}  # (cos, sin) of the forward axis
 ASSUMED = "assumed"  # the first word of a reason for a viewpoint without evidence in the scan
+LEVELLED = "levelled by the ground"
 CLOUD_ORIGIN, BY_VIEWPOINT = "the cloud's origin", "the file's VIEWPOINT"
 LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
 OTHER_AXIS_DEG = 45.0  # a turn by more is to another axis
@@ -454,7 +455,7 @@ def _levelled(sample: np.ndarray, stance: Stance, ground: Ground) -> tuple[Stanc
     if ground.tilt_deg < LEVEL_DEG or ground.share < SURE_SHARE or ground.height_m > BELOW_M:
         return stance, ground, []
     tilt = f"the sensor is tilted by {ground.tilt_deg:.0f} degrees"
-    stance = _turned(stance, ground.level_turn, "levelled by the ground")
+    stance = _turned(stance, ground.level_turn, LEVELLED)
     return stance, fit_ground(stance.moved(sample)) or ground, [f"{tilt}; its points were levelled by the ground"]
 
 
