@@ -18,7 +18,7 @@ BACK_DEG = 10.0  # steps back beyond parallax, which a vehicle's motion makes in
 ROUNDING = 1e-6  # of a turn: equal angles differ by less
 WIDEST_DEG = 0.5  # between the quartiles of a beam's elevations
 NEAR_DEG = 2.0  # elevations of a sensor's outermost beams agree so well
-HIDDEN, HIDDEN_DEG = 4, 6.5  # or so many are missing, which met the sky or the vehicle alone; a Pandar64 has gaps of 6
+HIDDEN, HIDDEN_DEG = 4, 6.5  # or so many are missing: they met the sky or the vehicle alone; a Pandar64 has gaps of 6
 # Of the search for the sensor's place.
 CONE_BIN_DEG, SMOOTH = 0.05, 31  # of the histogram of elevations, and of the smoothed one it is compared with
 MOST_DEG = 35.0
@@ -147,7 +147,7 @@ def _of_rings(xyz: np.ndarray, ring: np.ndarray) -> tuple[float, tuple[float, ..
 def _height_of_cones(xyz: np.ndarray, number: np.ndarray, beams: int) -> float:
     """Return the height h in metres of the cones' common apex above the origin: least squares of z = h + slope x range.
 
-    Beams begin at lenses, which lie .12 to .21 m above the origin of KITTI's HDL-64E. The slopes, one a beam, are
+    Beams begin at lenses, .12 to .21 m above the origin of KITTI's HDL-64E. The slopes, one a beam, are
     eliminated.
     """
     distance, z = np.hypot(xyz[:, 0], xyz[:, 1], dtype=np.float64), xyz[:, 2].astype(np.float64)
