@@ -18,11 +18,13 @@ from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
+from lidar2pano.train.averages import EMA, averaged
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
-from lidar2pano.train.engine import EMA, averaged, clip, learning_rate, make_optimizer
+from lidar2pano.train.engine import clip, learning_rate, make_optimizer
 from lidar2pano.train.environment import Timer, choose_precision
 from lidar2pano.train.latent_painting import LatentPaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
+from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.sampling import BatchSampler, batches, sample_at, seed_step
 from lidar2pano.train.task import build_networks
 
@@ -134,6 +136,28 @@ def test_inside_averaged_the_network_carries_its_average_and_comes_back_exactly(
     assert all(torch.equal(before[name], value) for name, value in network.state_dict().items())
     assert all(torch.equal(kept[name], value) for name, value in average.state.items())
     assert (network.training, network[1].training, network[2].training) == (True, True, False)
+
+
+def test_what_is_applied_keeps_a_share_of_the_start():
+    network = nn.BatchNorm1d(1)
+    average = EMA(network, decay=0.0, start_share=0.25)  # of a weight of 1
+    with torch.no_grad():
+        network.weight.fill_(5.0)
+        network.running_mean.fill_(8.0)
+    average.update(0)
+    with averaged([network], [average]):
+        assert network.weight.item() == pytest.approx(0.25 * 1 + 0.75 * 5)
+        assert network.running_mean.item() == 8  # statistics are those of the end
+    assert network.weight.item() == 5 and average.state["weight"].item() == 5
+
+
+@pytest.mark.parametrize(("start", "ema"), [("", 0.9), ("FILE", 0.0)])
+def test_a_share_of_the_start_needs_a_start_and_an_average(start, ema):
+    recipe = recipe_named("titan-pano-mini")
+    network = replace(recipe.networks["translator"], start=start, start_share=0.5)
+    recipe = replace(recipe, networks={"translator": network}, training=replace(recipe.training, ema=ema))
+    with pytest.raises(InputError, match="start_share is a share"):
+        build_networks(recipe)
 
 
 def test_a_timer_counts_from_the_end_of_the_last_time():

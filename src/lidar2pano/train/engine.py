@@ -21,10 +21,10 @@ from typing import Any, Literal, cast
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
-from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import pick_device
+from lidar2pano.train.averages import EMA, averaged
 from lidar2pano.train.checkpoint import (
     Progress,
     check_recipe,
@@ -153,8 +153,11 @@ class Run:
             if recipe.training.compile and name in task.released:  # a penalty differentiates a critic twice
                 network.compile(dynamic=False)
                 log.info("%s is compiled at its first step, which takes a minute or two", name)
-        decay = recipe.training.ema
-        self.averages = {name: EMA(self.networks[name], decay) for name in task.released if decay > 0}
+        self.averages = {
+            name: EMA(self.networks[name], recipe.training.ema, recipe.networks[name].start_share)
+            for name in task.released
+            if recipe.training.ema > 0
+        }
 
     def resume(self) -> None:
         """Load the last checkpoint, if there is one; InputError unless it fits."""
@@ -448,61 +451,6 @@ def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
         case "exponential":
             return rate * settings.final**progress
     return rate
-
-
-class EMA:
-    """Exponential moving average of a network's weights; its other state (norm statistics) is copied as it is.
-
-    The decay of step s is min(decay, (1 + s) / (10 + s)), so that the initial weights soon have no influence.
-    """
-
-    def __init__(self, network: nn.Module, decay: float) -> None:
-        self.network, self.decay = network, decay
-        self.state = {name: value.detach().clone() for name, value in network.state_dict().items()}
-        trained = {name for name, _ in network.named_parameters()}
-        self.averaged = [name for name in self.state if name in trained]
-        self.copied = [name for name in self.state if name not in trained]
-
-    @torch.no_grad()
-    def update(self, step: int) -> None:
-        """Add the weights after step `step` (from 0) to the average."""
-        now = self.network.state_dict()
-        mix = get_ema_multi_avg_fn(min(self.decay, (1 + step) / (10 + step)))
-        mix([self.state[name] for name in self.averaged], [now[name] for name in self.averaged], None)
-        for name in self.copied:
-            self.state[name].copy_(now[name])
-
-    def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a saved `state`."""
-        for name, value in self.state.items():
-            value.copy_(state[name])
-
-    @torch.no_grad()
-    def swap(self) -> None:
-        """Exchange the network's weights with the average; doing it twice changes nothing."""
-        for name, value in self.network.state_dict().items():
-            kept = value.clone()
-            value.copy_(self.state[name])
-            self.state[name].copy_(kept)
-
-
-@contextmanager
-def averaged(networks: Iterable[nn.Module], averages: Iterable[EMA]) -> Iterator[None]:
-    """Inside, the networks have their averaged weights, are in evaluation mode and record no gradients."""
-    networks, averages = list(networks), list(averages)
-    modes = [(part, part.training) for network in networks for part in network.modules()]
-    for average in averages:
-        average.swap()
-    for network in networks:
-        network.eval()
-    try:
-        with torch.no_grad():
-            yield
-    finally:
-        for part, mode in modes:
-            part.training = mode
-        for average in averages:
-            average.swap()
 
 
 def clip(weights: Iterable[Tensor], largest: float) -> None:

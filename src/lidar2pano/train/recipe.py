@@ -87,15 +87,20 @@ class Optimizer:
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """A network by its name in MODELS, its settings, its optimiser, and a weight file to start from ("" = fresh)."""
+    """A network by its name in MODELS, its settings and its optimiser.
+
+    start        a weight file to start from ("" = fresh);  start_share: the share of its weights in what is released.
+    """
 
     model: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     optimizer: Optimizer = field(default_factory=Optimizer)
     start: str = ""
+    start_share: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse settings beyond those of any network (InputError); each network checks its own."""
+        check_range("networks", 0, 1, start_share=self.start_share)
         for name, value in self.settings.items():
             numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
             if all(isinstance(number, int | float) for number in numbers):

@@ -80,8 +80,14 @@ class Task(Protocol):
 def build_networks(recipe: Recipe) -> dict[str, nn.Module]:
     """The recipe's networks by name: fresh ones, or those of the weight file `start`.
 
-    Impossible settings, and a weight file of another network, raise InputError.
+    Impossible settings, a weight file of another network, and a share of none or without averages raise InputError.
     """
+    for name, spec in recipe.networks.items():
+        if spec.start_share and not (spec.start and recipe.training.ema):
+            raise InputError(
+                f"networks.{name}.start_share is a share of the weights to start from in averaged ones; say"
+                f" networks.{name}.start=FILE, and training.ema above 0"
+            )
     return {name: _built(name, spec) for name, spec in recipe.networks.items()}
 
 
