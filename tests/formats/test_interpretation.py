@@ -304,7 +304,9 @@ def test_beams_are_found():
     assert (by_ring.found_by, by_order.found_by, by_peaks.found_by) == ("ring", "file order", "peaks")
     for beams in (by_ring, by_order, by_peaks):
         np.testing.assert_allclose(beams.elevations_deg, elevations, atol=0.05)
-    assert by_ring.sensor() == "" and find_beams(XYZ[:10]) is None
+    assert (
+        by_ring.sensor() == "" and find_beams(XYZ[:10]) is None and find_beams(XYZ, np.arange(len(XYZ)) // 19) is None
+    )
 
 
 def test_sensors_are_named_by_their_beams():

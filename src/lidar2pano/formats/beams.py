@@ -89,7 +89,8 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     if len(points) < FEWEST_POINTS * FEWEST:
         return None
     if ring is not None:
-        return Beams(elevations_deg=_of_rings(points, ring[near])[1], found_by="ring")
+        _, elevations_deg = _of_rings(points, ring[near])
+        return Beams(elevations_deg=elevations_deg, found_by="ring") if elevations_deg else None
     if beams := _by_turns(points):
         return beams
     if sharpness(points, np.zeros(3)) < GATHERED:
@@ -97,10 +98,10 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     return _of_peaks(_elevations(points))
 
 
-def _elevations(xyz: np.ndarray) -> np.ndarray:
-    """Return the elevations (N,) of points (N, 3) in degrees, float64, in the memory of the result alone."""
+def _elevations(xyz: np.ndarray, height_m: float = 0.0) -> np.ndarray:
+    """Return the elevations (N,) of points (N, 3), seen from so high, in degrees, float64; copies one coordinate."""
     elevation = np.hypot(xyz[:, 0], xyz[:, 1], dtype=np.float64)
-    np.arctan2(xyz[:, 2], elevation, out=elevation)
+    np.arctan2(xyz[:, 2] - height_m, elevation, out=elevation)
     return np.degrees(elevation, out=elevation)
 
 
@@ -122,7 +123,7 @@ def _turned(xyz: np.ndarray) -> np.ndarray | None:
     It turns one way only: a step back of more than BACK_DEG is the rest of a turn, to the next beam's start.
     """
     step = np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0], dtype=np.float64))
-    step[1:] -= step[:-1].copy()
+    step[1:] = np.diff(step)
     step[0] = 0.0
     if np.count_nonzero(step < 0) > np.count_nonzero(step > 0):  # clockwise
         np.negative(step, out=step)
@@ -136,26 +137,28 @@ def _turned(xyz: np.ndarray) -> np.ndarray | None:
 
 
 def _of_rings(xyz: np.ndarray, ring: np.ndarray) -> tuple[float, tuple[float, ...]]:
-    """Return the median of the beams' widths in degrees, and their elevations; `ring`: (N,) their numbers."""
-    values, number, counts = np.unique(ring, return_inverse=True, return_counts=True)
-    elevation = _elevations(xyz - (0, 0, _height_of_cones(xyz, number, len(values))))
-    chosen = np.flatnonzero(counts >= FEWEST_POINTS)[:MOST]
-    low, middle, high = np.array([np.percentile(elevation[number == beam], (25, 50, 75)) for beam in chosen]).T
+    """Return the median of the beams' widths in degrees, and their elevations, if any; `ring`: (N,) their numbers."""
+    values, counts = np.unique(ring, return_counts=True)
+    sparse = slice(None, None, 1 + len(xyz) // BLOCK)
+    elevation = _elevations(xyz, _height_of_cones(xyz[sparse], ring[sparse]))
+    chosen = values[counts >= FEWEST_POINTS][:MOST]
+    if not len(chosen):
+        return np.inf, ()
+    low, middle, high = np.array([np.percentile(elevation[ring == beam], (25, 50, 75)) for beam in chosen]).T
     return float(np.median(high - low)), tuple(sorted(middle.tolist(), reverse=True))
 
 
-def _height_of_cones(xyz: np.ndarray, number: np.ndarray, beams: int) -> float:
+def _height_of_cones(xyz: np.ndarray, ring: np.ndarray) -> float:
     """Return the height h in metres of the cones' common apex above the origin: least squares of z = h + slope x range.
 
-    Beams begin at lenses, .12 to .21 m above the origin of KITTI's HDL-64E. The slopes, one a beam, are
-    eliminated.
+    Beams begin at lenses, .12 to .21 m above the origin of KITTI's HDL-64E. The slopes, one a beam, are eliminated.
     """
+    number = np.unique(ring, return_inverse=True)[1]
     distance, z = np.hypot(xyz[:, 0], xyz[:, 1], dtype=np.float64), xyz[:, 2].astype(np.float64)
-    count, to_first = np.bincount(number, minlength=beams), np.bincount(number, distance, beams)
-    squared, height = np.bincount(number, distance**2, beams), np.bincount(number, z, beams)
-    share = to_first / np.maximum(squared, 1e-9)
-    seen = count - share * to_first
-    return float((height - share * np.bincount(number, distance * z, beams)).sum() / max(seen.sum(), 1e-9))
+    to_first, height = np.bincount(number, distance), np.bincount(number, z)
+    share = to_first / np.maximum(np.bincount(number, distance**2), 1e-9)
+    seen = np.bincount(number) - share * to_first
+    return float((height - share * np.bincount(number, distance * z)).sum() / max(seen.sum(), 1e-9))
 
 
 def _of_peaks(elevation: np.ndarray) -> Beams | None:
