@@ -174,7 +174,7 @@ class ChildProcess:
 
 
 def _sweep(started: Sequence[subprocess.Popen[bytes]], folder: str | None) -> None:
-    """End a process, and remove its temporary files, which would outlive it."""
+    """End a process, and remove its temporary files: they would outlive it."""
     for process in started:
         process.kill()
         process.wait()

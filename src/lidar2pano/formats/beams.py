@@ -68,13 +68,14 @@ class Beams:
         return self._like(NEAR_DEG) or self._like(HIDDEN_DEG)  # the vehicle hides beams more seldom than the sky
 
     def _like(self, hidden_below_deg: float) -> str:
-        up, down, found = self.elevations_deg[0], self.elevations_deg[-1], len(self.elevations_deg)
+        """Return the names for beams with no more than so many degrees missing at the lower end."""
+        highest_deg, lowest_deg, beams = self.elevations_deg[0], self.elevations_deg[-1], len(self.elevations_deg)
         return " or ".join(
             name
             for name, (count, highest, lowest) in SENSORS.items()
-            if -0.04 * count <= count - found <= HIDDEN
-            and -NEAR_DEG < highest - up < (NEAR_DEG if found >= count else HIDDEN_DEG)
-            and -NEAR_DEG < down - lowest < (NEAR_DEG if found >= count else hidden_below_deg)
+            if -0.04 * count <= count - beams <= HIDDEN
+            and -NEAR_DEG < highest - highest_deg < (NEAR_DEG if beams >= count else HIDDEN_DEG)
+            and -NEAR_DEG < lowest_deg - lowest < (NEAR_DEG if beams >= count else hidden_below_deg)
         )
 
 
@@ -157,8 +158,8 @@ def _height_of_cones(xyz: np.ndarray, ring: np.ndarray) -> float:
     distance, z = np.hypot(xyz[:, 0], xyz[:, 1], dtype=np.float64), xyz[:, 2].astype(np.float64)
     to_first, height = np.bincount(number, distance), np.bincount(number, z)
     share = to_first / np.maximum(np.bincount(number, distance**2), 1e-9)
-    seen = np.bincount(number) - share * to_first
-    return float((height - share * np.bincount(number, distance * z)).sum() / max(seen.sum(), 1e-9))
+    weights = np.bincount(number) - share * to_first
+    return float((height - share * np.bincount(number, distance * z)).sum() / max(weights.sum(), 1e-9))
 
 
 def _of_peaks(elevation: np.ndarray) -> Beams | None:
