@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lidar2pano import __version__
 from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN, MISTAKE
 from lidar2pano.data.layouts import frames
@@ -154,6 +155,12 @@ def result(steps=1000, low=None, high=None, frames=50, painter=2000, **values):
         "classes": [{"class": "car", "iou": 0.5}],
     }
     return {"heading": "`val` of data: 1 image.", "classes": ["car"], "results": [one]}
+
+
+@pytest.mark.parametrize(("known", "said"), [("0a1b2c", "Commit 0a1b2c,"), (__version__, f"Version {__version__},")])
+def test_the_results_page_says_of_which_program_it_is(plan, monkeypatch, known, said):
+    monkeypatch.setattr("lidar2pano.reproduce.results_page.commit", lambda: known)
+    assert f"not edited by hand. {said}" in results_page(plan, Outcome(), [], None)
 
 
 def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lidar2pano import __version__
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.report import by_name, markdown_table, number_cell, value_of
 from lidar2pano.formats.image_files import write_text
@@ -95,8 +96,9 @@ def _heading(plan: Plan, outcome: Outcome) -> str:
     form = "-mini recipes" if plan.mini else "the paper's recipes"
     allowed = f"--budget {plan.budget} for each network" if plan.budget else "the recipes' own budgets"
     allowed += "".join(f", {change}" for change in plan.changes)
+    program = f"Version {__version__}" if commit() == __version__ else f"Commit {commit()}"
     return (
-        f"# Results\n\nWritten by `lidar2pano reproduce`; not edited by hand. Commit {commit()}, {form}, {allowed}, "
+        f"# Results\n\nWritten by `lidar2pano reproduce`; not edited by hand. {program}, {form}, {allowed}, "
         f"device {plan.device}.\n\n{scored}"
     )
 
