@@ -28,8 +28,8 @@ from lidar2pano.formats.image_files import (
 from lidar2pano.formats.ply import write_ply
 from lidar2pano.geometry.camera import CUBE_AXES, PROJECTIONS, Lookup, equirectangular, lookups, panorama_in_camera
 from lidar2pano.geometry.exposure import metered_gain
-from lidar2pano.geometry.projection import directions, project
-from lidar2pano.geometry.stitching import Camera, homogeneous, look
+from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.stitching import Camera, homogeneous, look, points_in, surfaces_in
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import echo_image
@@ -216,12 +216,11 @@ class Panorama:
         """Put the colours of points in sight of cameras into `colour`; return the number of each point's camera."""
         source = np.zeros(len(scan), dtype=np.uint8)
         usable = np.isfinite(scan.xyz).all(axis=1) & scan.xyz.any(axis=1)
-        points = torch.from_numpy(np.vstack([scan.xyz[usable].T, np.ones(usable.sum(), dtype=np.float32)]))
-        depth_m = torch.from_numpy(self.depth_m)
-        surfaces = homogeneous(directions(self.view), depth_m, self.view.origin)[:, depth_m > 0]
+        points, depths = torch.from_numpy(scan.xyz[usable].T), homogeneous(torch.from_numpy(self.depth_m))
         nearest = torch.full((points.shape[1],), torch.inf)
         for number, camera in enumerate(self.cameras, 1):
-            sight = look(camera, points, self.view.focal_px, hides, surfaces)
+            surfaces = surfaces_in(camera, self.view, depths).flatten(1)
+            sight = look(camera, points_in(camera, points), self.view.focal_px, hides, surfaces)
             nearer = sight.angle < nearest[sight.surface]
             nearest[sight.surface[nearer]] = sight.angle[nearer]
             place = np.flatnonzero(usable)[sight.surface[nearer].numpy()]

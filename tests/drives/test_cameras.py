@@ -16,7 +16,7 @@ from lidar2pano.drives.cameras import cameras_of, seconds_after
 from lidar2pano.drives.reading import ReadingOptions, StreamReader, scan_sources
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.geometry.stitching import look
+from lidar2pano.geometry.stitching import look, points_in
 from miniature_layouts import write_nuscenes_layout
 from miniature_surround import SIZE, camera_view, painting, six, sweep, write_nuscenes, write_pandaset
 
@@ -116,10 +116,10 @@ def test_cameras_are_found_beside_a_scan_in_its_frame(tmp_path, layout, names):
     if names:
         assert [one.name for one in reading.cameras] == names
     painted, _ = sweep(*((32, 1000) if layout is nuscenes_info else ()))
-    points = torch.from_numpy(np.vstack([reading.scan.xyz.T, np.ones(len(painted), dtype=np.float32)]))
+    points = torch.from_numpy(reading.scan.xyz.T)
     for found, calibration in zip(reading.cameras, six().values(), strict=False):
         np.testing.assert_allclose(found.calibration.K, calibration.K)
-        sight = look(found, points, 700.0)
+        sight = look(found, points_in(found, points), 700.0)
         assert len(sight.surface) > 1000
         off = np.abs(found.colours(sight).T.numpy() - painting(painted[sight.surface.numpy()]))
         assert np.median(off) < 2, "points have the colours of their places, whatever axes their file has"

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
+from torch.nn.functional import max_pool2d
 
-from lidar2pano.geometry.rasters import adjacent_rows, as_float, likeliest, select
+from lidar2pano.geometry.rasters import (
+    adjacent_rows,
+    as_float,
+    enlarged_planes,
+    indices_of,
+    largest_around,
+    likeliest,
+    select,
+    upsample_azimuth,
+)
 
 
 def test_selection_is_where():
@@ -33,3 +44,20 @@ def test_adjacent_rows_are_the_next_above_and_below():
             for row in range(9):
                 assert above[image, row, column] == max((number for number in rows if number <= row), default=-1)
                 assert below[image, row, column] == min((number for number in rows if number >= row), default=9)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 4, 16])
+def test_planes_are_enlarged_as_images_are(factor):
+    planes = torch.randn(3, 6, 10, generator=torch.Generator().manual_seed(4))
+    torch.testing.assert_close(enlarged_planes(planes, factor), upsample_azimuth(planes[None], factor)[0])
+
+
+@pytest.mark.parametrize("size", [(7, 12), (1, 5), (5, 1)])
+def test_the_largest_around_a_pixel_is_max_pooling(size):
+    image = torch.randn(size, generator=torch.Generator().manual_seed(6))
+    assert torch.equal(largest_around(image), max_pool2d(image[None], 3, 1, 1)[0])
+
+
+def test_indices_are_those_of_a_mask():
+    mask = torch.rand(50, generator=torch.Generator().manual_seed(7)) > 0.5
+    assert torch.equal(indices_of(mask), mask.nonzero()[:, 0])

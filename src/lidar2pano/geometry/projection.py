@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -266,16 +267,26 @@ def pixels(x: Tensor, y: Tensor, z: Tensor, view: View) -> tuple[Tensor, Tensor]
 
 def directions(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     """Unit vectors (H, W, 3) float32 from the view's origin through its pixel centres, sensor axes."""
+    (cosine, sine), (level, upward) = headings_and_rises(view, device=device)
+    ray = torch.empty(view.rows, view.columns, 3, device=device)
+    ray[..., 0], ray[..., 1] = level[:, None] * cosine, level[:, None] * sine
+    ray[..., 2] = upward[:, None]
+    return ray
+
+
+@lru_cache(maxsize=8)
+def headings_and_rises(view: View, *, device: str | torch.device = "cpu") -> tuple[Tensor, Tensor]:
+    """Return `directions` by columns and by rows, float64; the last ones are kept, do not write into them.
+
+    (2, W) x and y of the columns' horizontal unit vectors;  (2, H) horizontal and vertical parts of the rows' vectors.
+    """
     column = torch.arange(view.columns, dtype=torch.float64, device=device) + 0.5
     row = torch.arange(view.rows, dtype=torch.float64, device=device) + 0.5
     azimuth = math.radians(view.left) - column / view.columns * math.radians(view.left - view.right)
     height = view.up - row / view.rows * (view.up - view.down)
     slope = torch.tan(torch.deg2rad(height)) if view.kind == "sphere" else height
-    level = 1 / torch.sqrt(1 + slope * slope)  # horizontal part of a unit vector
-    ray = torch.empty(view.rows, view.columns, 3, device=device)
-    ray[..., 0], ray[..., 1] = level[:, None] * azimuth.cos(), level[:, None] * azimuth.sin()
-    ray[..., 2] = (level * slope)[:, None]
-    return ray
+    level = 1 / torch.sqrt(1 + slope * slope)
+    return torch.stack([azimuth.cos(), azimuth.sin()]), torch.stack([level, level * slope])
 
 
 def nearest_points(cell: Tensor, distance_m: Tensor, cells: int) -> Tensor:

@@ -106,6 +106,39 @@ def upsample_azimuth(x: Tensor, factor: int) -> Tensor:
     return enlarged[..., factor:-factor]
 
 
+def indices_of(mask: Tensor) -> Tensor:
+    """Return the indices of a mask's (n,) true ones; to select by them takes a tenth of the time by the mask itself."""
+    return torch.from_numpy(np.flatnonzero(mask.numpy()))
+
+
+def enlarged_planes(x: Tensor, factor: int) -> Tensor:
+    """Compute `upsample_azimuth` of planes (C, H, W) float32, contiguous, in a fifth of its time."""
+    planes, height, width = x.shape
+    following, _, share = _between_two(factor, x.device)
+    phases = list(zip((1 - following).tolist(), share.tolist(), strict=True))
+    x = torch.cat([x[..., -1:], x, x[..., :1]], 2)
+    wide = x.new_empty(planes, height, width, factor)
+    for number, (first, part) in enumerate(phases):
+        wide[..., number] = torch.lerp(x[..., first : first + width], x[..., first + 1 : first + 1 + width], part)
+    wide = wide.flatten(2)
+    wide = torch.cat([wide[:, :1], wide, wide[:, -1:]], 1)
+    high = x.new_empty(planes, height, factor, width * factor)
+    for number, (first, part) in enumerate(phases):
+        high[:, :, number] = torch.lerp(wide[:, first : first + height], wide[:, first + 1 : first + 1 + height], part)
+    return high.flatten(1, 2)
+
+
+def largest_around(x: Tensor) -> Tensor:
+    """Compute `max_pool2d(x, 3, 1, 1)` of an image (H, W) in a fraction of its time."""
+    upright = x.clone()
+    torch.maximum(upright[1:], x[:-1], out=upright[1:])
+    torch.maximum(upright[:-1], x[1:], out=upright[:-1])
+    largest = upright.clone()
+    torch.maximum(largest[:, 1:], upright[:, :-1], out=largest[:, 1:])
+    torch.maximum(largest[:, :-1], upright[:, 1:], out=largest[:, :-1])
+    return largest
+
+
 def upsample_classes(scores: Tensor, factor: int, chunk: int = 1 << 14, least: float = 0) -> Tensor:
     """Return the classes (H * factor, W * factor) uint8 of scores (1, C, H, W) enlarged by `upsample_azimuth`.
 

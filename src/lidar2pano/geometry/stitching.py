@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import max_pool2d
+from torch.nn.functional import grid_sample
 
 from lidar2pano.calibration import Calibration, LensCalibration
-from lidar2pano.geometry.camera import Lookup
-from lidar2pano.geometry.projection import directions
+from lidar2pano.geometry.projection import headings_and_rises
+from lidar2pano.geometry.rasters import indices_of, largest_around
 from lidar2pano.views import View
 
 BLEND = 6  # columns over which the image of one camera is blended into the next one's
@@ -57,14 +57,19 @@ class Camera:
     def colours(self, sight: Sight) -> Tensor:
         """Return what a sight shows, (3, n) float32 in 0 .. 255, multiplied by the gain; bilinear."""
         image = torch.tensor(self.image).movedim(2, 0).float()
-        return sight.lookup.linear(image) * torch.tensor(self.gain)[:, None]
+        grid = sight.place * (2 / torch.tensor(self.calibration.size))[:, None] - 1
+        shown = grid_sample(image[None], grid.T[None, None], padding_mode="border", align_corners=False)[0, :, 0]
+        return shown.mul_(torch.tensor(self.gain)[:, None])
 
 
 class Sight(NamedTuple):
-    """Surfaces visible to a camera: their numbers (n,), places in its image, and angles from its axis, radians."""
+    """Surfaces visible to a camera: their numbers (n,), and angles (n,) from its axis, radians.
+
+    place  (2, n) columns and rows in its image, in raster coordinates (centres at .5).
+    """
 
     surface: Tensor
-    lookup: Lookup
+    place: Tensor
     angle: Tensor
 
 
@@ -75,11 +80,6 @@ Occlusion = Callable[[Tensor, Tensor], Tensor]
 def stands_before(nearest: Tensor, inverse: Tensor) -> Tensor:
     """Return whether a surface is nearer than another by more than HIDES and NEARER, by inverse distances in 1/m."""
     return nearest - inverse > (nearest * NEARER).clamp(min=HIDES)
-
-
-def hides_nothing(nearest: Tensor, inverse: Tensor) -> Tensor:  # noqa: ARG001 an Occlusion
-    """Return that no surface hides another: the Occlusion of what is transparent."""
-    return torch.zeros_like(nearest, dtype=torch.bool)
 
 
 def stitch(cameras: Sequence[Camera], view: View, depth_m: Tensor) -> tuple[np.ndarray, np.ndarray]:
@@ -95,8 +95,8 @@ def stitch(cameras: Sequence[Camera], view: View, depth_m: Tensor) -> tuple[np.n
     """
     if depth_m.shape != (view.rows, view.columns):
         raise ValueError(f"depths must be ({view.rows}, {view.columns}), got {tuple(depth_m.shape)}")
-    points, size = homogeneous(directions(view), depth_m, view.origin).flatten(1), view.rows * view.columns
-    sights = [look(camera, points, view.focal_px) for camera in cameras]
+    size, depths = view.rows * view.columns, homogeneous(depth_m)
+    sights = [look(camera, surfaces_in(camera, view, depths).flatten(1), view.focal_px) for camera in cameras]
     colours, weights = torch.zeros(3, size), torch.zeros(size)
     for camera, sight, weight in zip(cameras, sights, seam_weights(sights, size, view), strict=True):
         colours.index_add_(1, sight.surface, camera.colours(sight) * weight)
@@ -110,59 +110,102 @@ def seam_weights(sights: Sequence[Sight], size: int, view: View) -> list[Tensor]
     """Return the weights (n,) of each camera's surfaces, of `size`: 1 or, within BLEND columns of a seam, less."""
     nearest = torch.full((size,), torch.inf)
     for sight in sights:
-        nearest[sight.surface] = torch.minimum(nearest[sight.surface], sight.angle)
+        nearest.scatter_reduce_(0, sight.surface, sight.angle, "amin")
     per_radian = 2 * view.focal_px / BLEND
-    return [(1 - (sight.angle - nearest[sight.surface]) * per_radian).clamp(min=0) for sight in sights]
+    farther = (sight.angle - nearest.index_select(0, sight.surface) for sight in sights)
+    return [(1 - angle.mul_(per_radian)).clamp_(min=0) for angle in farther]
 
 
-def homogeneous(ray: Tensor, depth_m: Tensor, origin: tuple[float, float, float]) -> Tensor:
-    """Homogeneous coordinates (4, ...) float32 of pixels' surfaces, sensor frame; of the sky, a direction.
-
-    ray  (..., 3) unit vectors from the origin;  depth_m: (...) metres, infinite in the sky; NaN unless above 0.
-    """
+def homogeneous(depth_m: Tensor) -> Tensor:
+    """Return depths (h, w) as distances and denominators (2, h, w), 1 and 0 where infinite; NaN unless above 0."""
     ends = depth_m.isfinite()
-    scale = torch.where(depth_m > 0, ends, torch.nan)
-    distance = depth_m.where(ends, 1.0)
-    return torch.stack([*(ray[..., axis] * distance + scale * place for axis, place in enumerate(origin)), scale])
+    return torch.stack([torch.where(ends, depth_m, 1.0), torch.where(depth_m > 0, ends, torch.nan)])
+
+
+def surfaces_in(
+    camera: Camera,
+    view: View,
+    depths: Tensor,
+    rows: slice | Tensor = slice(None),
+    columns: slice | Tensor = slice(None),
+) -> Tensor:
+    """Return homogeneous coordinates (4, h, w) float32 of pixels' surfaces in a camera's axes; of the sky, a direction.
+
+    depths         (2, h, w), `homogeneous`, metres from the view's origin.
+    rows, columns  of the view that these are.
+    """
+    T = torch.from_numpy(camera.calibration.T_camera_lidar)
+    heading, (level, upward) = (
+        part[:, chosen] for part, chosen in zip(headings_and_rises(view), (columns, rows), strict=True)
+    )
+    offset = T[:3, :3] @ T.new_tensor(view.origin) + T[:3, 3]
+    across, rise = (T[:3, :2] @ heading).float(), (T[:3, 2:3] * (upward / level)).float()
+    distance, denominator = depths
+    horizontal = distance * level.float()[:, None]
+    points = torch.empty(4, *distance.shape)
+    for axis in range(3):
+        torch.add(across[axis], rise[axis][:, None], out=points[axis])
+        points[axis].mul_(horizontal).add_(denominator, alpha=float(offset[axis]))
+    points[3] = denominator
+    return points
+
+
+def points_in(camera: Camera, points: Tensor) -> Tensor:
+    """Return points (3, n), sensor frame, as homogeneous coordinates (4, n) float32 in a camera's axes."""
+    T = torch.from_numpy(camera.calibration.T_camera_lidar[:3]).float()
+    return torch.cat([T[:, :3] @ points + T[:, 3:], torch.ones(1, points.shape[1])])
 
 
 def look(
     camera: Camera,
     points: Tensor,
     focal_px: float,
-    occlusion: Occlusion = stands_before,
+    occlusion: Occlusion | None = stands_before,
     occluders: Tensor | None = None,
 ) -> Sight:
-    """Return the visible ones of points (4, n), homogeneous, in a camera.
+    """Return the visible ones of points (4, n), homogeneous, in a camera's axes.
 
     focal_px   of the occluders' raster;  occluders: (4, m), the points themselves if None.
+    occlusion  None: nothing hides another.
     """
     calibration = camera.calibration
-    width, height = calibration.size
-    surface, xyz, row, column, inverse = _project(camera, points)
-    camera_px = calibration.focal_px if isinstance(calibration, LensCalibration) else float(calibration.K[0, 0])
-    scale = min(1.0, COARSE * focal_px / camera_px)
-    inside = (row, column, inverse) if occluders is None else _project(camera, occluders)[2:]
-    buffer = _inverse_depths(*inside, scale, (height, width))
-    visible = ~occlusion(buffer[(row * scale).long(), (column * scale).long()], inverse)
+    surface, place, inverse = _project(camera, points)
+    visible = torch.ones_like(surface, dtype=torch.bool)
+    if occlusion is not None:
+        camera_px = calibration.focal_px if isinstance(calibration, LensCalibration) else float(calibration.K[0, 0])
+        scale = min(1.0, COARSE * focal_px / camera_px)
+        height, width = (math.ceil(side * scale) for side in calibration.size[::-1])
+        cell = _cells(place * scale, width)
+        inside = cell, inverse
+        if occluders is not None:
+            _, occluder_place, occluder_inverse = _project(camera, occluders)
+            inside = _cells(occluder_place * scale, width), occluder_inverse
+        nearest = _inverse_depths(*inside, (height, width)).flatten().index_select(0, cell)
+        visible = ~occlusion(nearest, inverse)
     if camera.ego_mask is not None:
-        visible &= ~torch.from_numpy(camera.ego_mask)[row.long(), column.long()]
-    row, column, surface, (x, y, ahead) = row[visible], column[visible], surface[visible], xyz[:, visible]
-    angle = torch.atan2(torch.hypot(x, y), ahead)
-    lookup = Lookup(row=row, column=column, valid=torch.ones_like(angle).bool(), circular=False)
-    return Sight(surface=surface, lookup=lookup, angle=angle)
+        own_vehicle = torch.from_numpy(camera.ego_mask).flatten()
+        visible &= ~own_vehicle.index_select(0, _cells(place, calibration.size[0]))
+    chosen = indices_of(visible)
+    surface = surface.index_select(0, chosen)
+    x, y, ahead = points[:3].index_select(1, surface)
+    return Sight(surface, place.index_select(1, chosen), torch.atan2(torch.hypot(x, y), ahead))
 
 
-def _project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Project points (4, n); of those in the image number (m,), camera axes (3, m), row, column and 1/distance (m,)."""
+def _project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Project points (4, n) as of `look`: number (m,), column and row (2, m), 1/distance (m,) of those in the image."""
     width, height = camera.calibration.size
-    xyz = torch.from_numpy(camera.calibration.T_camera_lidar[:3]).float() @ points
-    column, row = _places(camera.calibration, xyz) + 0.5
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)  # NaN is not
-    surface = inside.nonzero()[:, 0]
-    xyz = xyz[:, surface]
-    inverse = points[3, surface] * (xyz[0] * xyz[0] + xyz[1] * xyz[1] + xyz[2] * xyz[2]).rsqrt()
-    return surface, xyz, row[surface], column[surface], inverse
+    place = _places(camera.calibration, points[:3]) + 0.5
+    column, row = place
+    surface = indices_of((row >= 0) & (row < height) & (column >= 0) & (column < width))  # NaN is not
+    place = place.index_select(1, surface)
+    x, y, z, scale = points.index_select(1, surface)
+    return surface, place, (x * x + y * y + z * z).rsqrt_().mul_(scale)
+
+
+def _cells(place: Tensor, width: int) -> Tensor:
+    """Return the numbers (n,) of the pixels at places (2, n), columns and rows, in an image of a width."""
+    column, row = place.long()
+    return row.mul_(width).add_(column)
 
 
 def _places(calibration: Calibration | LensCalibration, xyz: Tensor) -> Tensor:
@@ -173,14 +216,12 @@ def _places(calibration: Calibration | LensCalibration, xyz: Tensor) -> Tensor:
     return (K[:2] @ xyz) / torch.where(xyz[2] > 0, xyz[2], torch.nan)
 
 
-def _inverse_depths(row: Tensor, column: Tensor, inverse: Tensor, scale: float, size: tuple[int, int]) -> Tensor:
-    """Return a coarse buffer (h, w) of the inverse distances of the nearest surfaces; 0 where there are none.
+def _inverse_depths(cell: Tensor, inverse: Tensor, size: tuple[int, int]) -> Tensor:
+    """Return a coarse buffer (h, w), its `size`, of the inverse distances of the nearest surfaces; 0 if there are none.
 
-    row, column  (n,) in an image of `size` (rows, columns);  inverse: (n,) distances.
-    scale        pixels of the buffer per pixel of the image.
+    cell  (n,) numbers of its pixels;  inverse: (n,) distances.
     Occluders lose their border of one pixel: there a pixel holds the near and the far, which stand side by side.
     """
-    height, width = (math.ceil(side * scale) for side in size)
-    cell = (row * scale).long() * width + (column * scale).long()
-    nearest = torch.zeros(height * width).scatter_reduce_(0, cell, inverse, "amax").view(1, height, width)
-    return -max_pool2d(-nearest, 3, 1, 1)[0]
+    height, width = size
+    nearest = torch.zeros(height * width).scatter_reduce_(0, cell, inverse, "amax").view(height, width)
+    return -largest_around(-nearest)

@@ -7,6 +7,7 @@ and four pixels apart (Odena et al. 2016).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -18,6 +19,38 @@ from lidar2pano.models.blocks import CircularConv
 
 FACTOR = 8  # pixels of the picture per pixel of its latents, in rows and in columns
 RANGE = 3.0  # latents are about of unit scale; the decoder reads them within +-RANGE, softly
+
+
+def encode_columns(encoder: nn.Module, picture: Tensor, wanted: Tensor) -> Tensor:
+    """Return an encoder's latents (B, latents, h, w) of a picture (B, 3, FACTOR h, FACTOR w) in some of their columns.
+
+    wanted  (w,) bool: the columns, others are of no use. Only they and what the encoder sees beside them are read.
+    """
+    columns, around = len(wanted), math.ceil(reach_px(encoder) / FACTOR)
+    near = torch.arange(-around, around + 1, device=wanted.device)
+    read = wanted[(torch.arange(columns, device=wanted.device)[:, None] + near) % columns].any(1)
+    starts = (read & ~read.roll(1)).nonzero()[:, 0].tolist()
+    if not starts:
+        return encoder(picture)
+    windows = [
+        torch.arange(start, start + int((~read.roll(-start)).nonzero()[0]), device=wanted.device) % columns
+        for start in starts
+    ]
+    pixels = torch.arange(FACTOR, device=wanted.device)
+    parts = [encoder(picture.index_select(3, (window[:, None] * FACTOR + pixels).flatten())) for window in windows]
+    latents = parts[0].new_zeros(*parts[0].shape[:3], columns)
+    latents.index_copy_(3, torch.cat(windows), torch.cat(parts, 3))
+    return latents
+
+
+def reach_px(encoder: nn.Module) -> int:
+    """Return how many pixels to either side of a latent's own an encoder sees."""
+    reach, scale = 0, 1
+    for part in encoder.modules():
+        if isinstance(part, CircularConv):
+            reach += part.reach * scale
+            scale *= part.stride[0]
+    return reach
 
 
 class PlainResidual(nn.Module):

@@ -23,7 +23,7 @@ from torch.nn.functional import interpolate, layer_norm, linear, max_pool2d, pix
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.autoencoder import FACTOR, Autoencoder
+from lidar2pano.models.autoencoder import FACTOR, Autoencoder, encode_columns
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.stream_painter import QUALITIES
 from lidar2pano.models.world_noise import world_noise
@@ -385,9 +385,10 @@ class LatentPainter(nn.Module):
 
         Those of cells at its edge are left out: the encoder read beyond it.
         """
-        latents = self.decoder.normalised(self.encoder(picture * shown[:, None]).float())
         unknown = max_pool2d(pad_azimuth(max_pool2d((~shown)[:, None].float(), FACTOR), 1), 3, 1, (1, 0))
-        return Clues.of(latents, unknown[:, 0] == 0)
+        known = unknown[:, 0] == 0
+        latents = encode_columns(self.encoder, picture * shown[:, None], known.flatten(0, 1).any(0))
+        return Clues.of(self.decoder.normalised(latents.float()), known)
 
 
 def moment_of(time: Tensor, step: Tensor) -> Tensor:

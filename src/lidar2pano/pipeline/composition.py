@@ -21,17 +21,18 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from lidar2pano.geometry.projection import directions, project
-from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
+from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.rasters import as_float, enlarged_planes, indices_of, largest_around, pad_azimuth
 from lidar2pano.geometry.stitching import (
     BLACK,
     WHITE,
     Camera,
     Sight,
-    hides_nothing,
     homogeneous,
     look,
+    points_in,
     seam_weights,
+    surfaces_in,
 )
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
@@ -78,7 +79,8 @@ def sound_cameras(cameras: Sequence[Camera], scan: Scan, edges: bool) -> tuple[l
 
 def _fault(camera: Camera, points: Tensor) -> str:
     """Return why a camera is of no use, "" where it is; points: (3, n) of the scan, metres."""
-    level = camera.image[::EVERY_PX, ::EVERY_PX].max(2)
+    red, green, blue = np.moveaxis(camera.image[::EVERY_PX, ::EVERY_PX], 2, 0)
+    level = np.maximum(np.maximum(red, green), blue)
     for side, share in (("black", np.mean(level > BLACK)), ("burnt out", np.mean(level < WHITE))):
         if share < FEW:
             return f"its image is {side}; clean or mend it"
@@ -91,8 +93,7 @@ def _fault(camera: Camera, points: Tensor) -> str:
 
 def _sight(camera: Camera, points: Tensor) -> Sight:
     """Return the points (3, n) inside a camera's image, whatever stands before them."""
-    whole = torch.cat([points, torch.ones(1, points.shape[1])])
-    return look(camera, whole, 1.0, hides_nothing)
+    return look(camera, points_in(camera, points), 1.0, None)
 
 
 def _edge_points(scan: Scan) -> Tensor:
@@ -103,7 +104,7 @@ def _edge_points(scan: Scan) -> Tensor:
     for step in (-1, 1):
         neighbour = distance.roll(step, 1)
         edge |= image.valid & (neighbour > distance) & ~same_surface(distance, neighbour)
-    return image.channels[1:4, edge]
+    return image.channels[1:4].flatten(1).index_select(1, indices_of(edge.flatten()))
 
 
 def turned_fit(camera: Camera, edge_points: Tensor) -> float:
@@ -112,13 +113,14 @@ def turned_fit(camera: Camera, edge_points: Tensor) -> float:
     edge_points  (3, n). Steps are the square roots of differences of grey to either side: few large ones decide less.
     """
     grey = torch.tensor(camera.image[::EVERY_PX, ::EVERY_PX]).float().mean(2)
-    steps = max_pool2d((grey.roll(-1, 1) - grey.roll(1, 1)).abs().sqrt()[None], 3, 1, 1)[0]
+    steps = largest_around((grey.roll(-1, 1) - grey.roll(1, 1)).abs().sqrt())
     values = torch.full((2, edge_points.shape[1]), torch.nan)
     calibration = camera.calibration
     turned = replace(calibration, T_camera_lidar=UPSIDE_DOWN @ calibration.T_camera_lidar)
     for value, pose in zip(values, (calibration, turned), strict=True):
         sight = _sight(replace(camera, calibration=pose), edge_points)
-        value[sight.surface] = steps[(sight.lookup.row / EVERY_PX).long(), (sight.lookup.column / EVERY_PX).long()]
+        column, row = (sight.place / EVERY_PX).long()
+        value[sight.surface] = steps[row, column]
     gain = values[1] - values[0]
     gain = gain[gain.isfinite()]
     if len(gain) < FEWEST_EDGES:
@@ -160,7 +162,7 @@ def compose(panorama: Panorama, real: Photographed) -> Panorama:
     The invention goes over into their pixels at its borders.
     """
     shown, seen = real.colour, real.source > 0
-    invented = torch.from_numpy(panorama.colour).movedim(2, 0)
+    invented = torch.stack(torch.from_numpy(panorama.colour).unbind(2))
     shown = torch.where(seen, shown, invented + continued(shown, invented, seen))
     return replace(
         panorama,
@@ -173,22 +175,22 @@ def compose(panorama: Panorama, real: Photographed) -> Panorama:
 def sights_of(panorama: Panorama, cameras: Sequence[Camera]) -> list[Sight]:
     """Return the pixels, numbered row by row, of a panorama in each camera's sight."""
     view, depth_m = panorama.view, torch.from_numpy(panorama.depth_m)
-    ray, depth_m = directions(view), depth_m.where(depth_m > 0, torch.inf)
+    depth_m = depth_m.where(depth_m > 0, torch.inf)
     sights: list[Sight] = []
     for camera in cameras:
-        columns = _sector(camera, ray, depth_m, view)
-        points = homogeneous(ray[:, columns], depth_m[:, columns], view.origin)
+        columns = _sector(camera, depth_m, view)
+        points = surfaces_in(camera, view, homogeneous(depth_m.index_select(1, columns)), columns=columns)
         sight = look(camera, points.flatten(1), view.focal_px, hides)
         pixel = (torch.arange(view.rows)[:, None] * view.columns + columns).flatten()
-        sights.append(sight._replace(surface=pixel[sight.surface]))
+        sights.append(sight._replace(surface=pixel.index_select(0, sight.surface)))
     return sights
 
 
-def _sector(camera: Camera, ray: Tensor, depth_m: Tensor, view: View) -> Tensor:
+def _sector(camera: Camera, depth_m: Tensor, view: View) -> Tensor:
     """Return the numbers of the columns with something in a camera's image."""
     coarse = slice(SECTOR_PX // 2, None, SECTOR_PX)
-    points = homogeneous(ray[coarse, coarse], depth_m[coarse, coarse], view.origin)
-    sight = look(camera, points.flatten(1), view.focal_px / SECTOR_PX, hides_nothing)
+    points = surfaces_in(camera, view, homogeneous(depth_m[coarse, coarse]), coarse, coarse)
+    sight = look(camera, points.flatten(1), view.focal_px / SECTOR_PX, None)
     cells = torch.zeros(1, 1, 1, points.shape[2])
     cells[..., sight.surface % points.shape[2]] = 1
     wide = max_pool2d(pad_azimuth(cells, 1), (1, 3), 1) if view.circular else max_pool2d(cells, (1, 3), 1, (0, 1))
@@ -209,9 +211,10 @@ def brought_together(
     sampled = torch.from_numpy(sampled).flatten()
     samples: list[tuple[np.ndarray, np.ndarray]] = []
     for sight, layer in zip(sights, layers, strict=True):
-        kept = sampled[sight.surface]
-        kept &= ((layer >= BLACK) & (layer <= WHITE)).all(0)
-        samples.append((sight.surface[kept].numpy(), layer[:, kept].numpy().astype(np.float64)))
+        chosen = indices_of(sampled.index_select(0, sight.surface))
+        pixels, codes = sight.surface.index_select(0, chosen).numpy(), layer.index_select(1, chosen).numpy()
+        sound = ((codes >= BLACK) & (codes <= WHITE)).all(0)
+        samples.append((pixels[sound], codes[:, sound].astype(np.float64)))
     matrix, right = np.zeros((3, count, count)), np.zeros((3, count))
     for i, j in combinations(range(count), 2):
         pixels, first, second = np.intersect1d(samples[i][0], samples[j][0], assume_unique=True, return_indices=True)
@@ -236,36 +239,35 @@ def mixed(
     Cameras are numbered from 1; a pixel's is the one whose axis is nearest in angle. Two bands (Burt and Adelson 1983):
     details change at a seam, means of cells fade over the whole overlap.
     """
-    size = view.rows * view.columns
-    colour, source = torch.zeros(4, size), torch.zeros(size, dtype=torch.uint8)
-    strongest = torch.zeros(size)
-    across = -(-view.columns // SMOOTH_PX)
-    cell = torch.arange(view.rows)[:, None] // SMOOTH_PX * across + torch.arange(view.columns) // SMOOTH_PX
-    cell = cell.flatten()
-    cells = [torch.zeros(4, int(cell[-1]) + 1) for _ in range(2)]
+    size, several = view.rows * view.columns, len(cameras) > 1
+    narrow, wide = torch.zeros(4, size), torch.zeros(4, size if several else 0)
+    source = torch.zeros(size, dtype=torch.uint8)
     weights = seam_weights(sights, size, view)
     for number, (layer, sight, weight) in enumerate(zip(layers, sights, weights, strict=True), 1):
         surface, counted = sight.surface, torch.cat([layer, torch.ones(1, len(weight))])
-        colour.index_add_(1, surface, counted * weight)
-        stronger = weight > strongest[surface]
-        source[surface[stronger]] = number
-        strongest[surface[stronger]] = weight[stronger]
-        for sums, share in zip(cells, (weight, _inwards(cameras[number - 1], sight)), strict=True):
-            sums.index_add_(1, cell[surface], counted * share)
-    colour = (colour[:3] / colour[3].clamp(min=1e-9)).view(3, view.rows, view.columns)
+        source.index_fill_(0, surface.index_select(0, indices_of(weight == 1)), number)
+        narrow.index_add_(1, surface, counted * weight)
+        if several:
+            wide.index_add_(1, surface, counted.mul_(_inwards(cameras[number - 1], sight)))
+    colour = (narrow[:3] / narrow[3].clamp(min=1e-9)).view(3, view.rows, view.columns)
     source = source.view(view.rows, view.columns)
-    if len(cameras) > 1:
-        narrow, wide = (sums[:3] / sums[3].clamp(min=1e-9) for sums in cells)
-        faded = (wide - narrow).view(1, 3, -1, across)
-        colour += upsample_azimuth(faded, SMOOTH_PX)[0, :, : view.rows, : view.columns] * (source > 0)
+    if several:
+        faded = _smooth_means(wide, view) - _smooth_means(narrow, view)
+        colour.addcmul_(enlarged_planes(faded, SMOOTH_PX)[:, : view.rows, : view.columns], as_float(source > 0))
     return colour, source
+
+
+def _smooth_means(counted: Tensor, view: View) -> Tensor:
+    """Return means (3, h, w) in cells of SMOOTH_PX of weighted colours and weights (4, n) of a view's pixels."""
+    pixels = counted.view(4, view.rows, view.columns)
+    sums = avg_pool2d(pixels, SMOOTH_PX, ceil_mode=True, divisor_override=1)
+    return sums[:3] / sums[3].clamp(min=1e-9)
 
 
 def _inwards(camera: Camera, sight: Sight) -> Tensor:
     """Return weights (n,), falling to zero at the border of a camera's image."""
-    width, height = camera.calibration.size
-    row, column = sight.lookup.row / height, sight.lookup.column / width
-    return (row * (1 - row) * column * (1 - column)).clamp(min=1e-6)
+    share = sight.place / torch.tensor(camera.calibration.size)[:, None]
+    return share.mul_(1 - share).prod(0).clamp_(min=1e-6)
 
 
 def continued(shown: Tensor, invented: Tensor, mask: Tensor) -> Tensor:
@@ -280,7 +282,7 @@ def continued(shown: Tensor, invented: Tensor, mask: Tensor) -> Tensor:
     every = slice(None, None, COARSE_PX)
     difference, share = shown[:, every, every] - invented[:, every, every], mask[every, every].float()
     cells, share = _cell_means(difference[None], share[None, None], CELL_PX // COARSE_PX)
-    return upsample_azimuth(_filled(cells, share), CELL_PX)[0]
+    return enlarged_planes(_filled(cells, share)[0], CELL_PX)
 
 
 def _cell_means(values: Tensor, share: Tensor, side: int) -> tuple[Tensor, Tensor]:
@@ -293,5 +295,5 @@ def _filled(values: Tensor, share: Tensor) -> Tensor:
     """Fill the cells (1, C, h, w) without any known share from cells twice as large."""
     if values.shape[2] % 2 or values.shape[3] % 2:
         return values * (share > 0)
-    larger = upsample_azimuth(_filled(*_cell_means(values, (share > 0).float(), 2)), 2)
-    return torch.where(share > 0, values, larger)
+    larger = _filled(*_cell_means(values, (share > 0).float(), 2))
+    return torch.where(share > 0, values, enlarged_planes(larger[0], 2))
