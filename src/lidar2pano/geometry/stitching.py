@@ -139,12 +139,12 @@ def surfaces_in(
         part[:, chosen] for part, chosen in zip(headings_and_rises(view), (columns, rows), strict=True)
     )
     offset = T[:3, :3] @ T.new_tensor(view.origin) + T[:3, 3]
-    across, rise = (T[:3, :2] @ heading).float(), (T[:3, 2:3] * (upward / level)).float()
+    turn, rise = (T[:3, :2] @ heading).float(), (T[:3, 2:3] * (upward / level)).float()
     distance, denominator = depths
     horizontal = distance * level.float()[:, None]
     points = torch.empty(4, *distance.shape)
     for axis in range(3):
-        torch.add(across[axis], rise[axis][:, None], out=points[axis])
+        torch.add(turn[axis], rise[axis][:, None], out=points[axis])
         points[axis].mul_(horizontal).add_(denominator, alpha=float(offset[axis]))
     points[3] = denominator
     return points

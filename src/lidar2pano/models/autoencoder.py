@@ -21,22 +21,22 @@ FACTOR = 8  # pixels of the picture per pixel of its latents, in rows and in col
 RANGE = 3.0  # latents are about of unit scale; the decoder reads them within +-RANGE, softly
 
 
-def encode_columns(encoder: nn.Module, picture: Tensor, wanted: Tensor) -> Tensor:
+def encode_columns(encoder: nn.Module, picture: Tensor, selection: Tensor) -> Tensor:
     """Return an encoder's latents (B, latents, h, w) of a picture (B, 3, FACTOR h, FACTOR w) in some of their columns.
 
-    wanted  (w,) bool: the columns, others are of no use. Only they and what the encoder sees beside them are read.
+    selection  (w,) bool: the columns, others are of no use. Only they and what the encoder sees beside them are read.
     """
-    columns, around = len(wanted), math.ceil(reach_px(encoder) / FACTOR)
-    near = torch.arange(-around, around + 1, device=wanted.device)
-    read = wanted[(torch.arange(columns, device=wanted.device)[:, None] + near) % columns].any(1)
-    starts = (read & ~read.roll(1)).nonzero()[:, 0].tolist()
+    columns, margin = len(selection), math.ceil(reach_px(encoder) / FACTOR)
+    steps = torch.arange(-margin, margin + 1, device=selection.device)
+    mask = selection[(torch.arange(columns, device=selection.device)[:, None] + steps) % columns].any(1)
+    starts = (mask & ~mask.roll(1)).nonzero()[:, 0].tolist()
     if not starts:
         return encoder(picture)
     windows = [
-        torch.arange(start, start + int((~read.roll(-start)).nonzero()[0]), device=wanted.device) % columns
+        torch.arange(start, start + int((~mask.roll(-start)).nonzero()[0]), device=selection.device) % columns
         for start in starts
     ]
-    pixels = torch.arange(FACTOR, device=wanted.device)
+    pixels = torch.arange(FACTOR, device=selection.device)
     parts = [encoder(picture.index_select(3, (window[:, None] * FACTOR + pixels).flatten())) for window in windows]
     latents = parts[0].new_zeros(*parts[0].shape[:3], columns)
     latents.index_copy_(3, torch.cat(windows), torch.cat(parts, 3))

@@ -386,9 +386,9 @@ class LatentPainter(nn.Module):
         Those of cells at its edge are left out: the encoder read beyond it.
         """
         unknown = max_pool2d(pad_azimuth(max_pool2d((~shown)[:, None].float(), FACTOR), 1), 3, 1, (1, 0))
-        known = unknown[:, 0] == 0
-        latents = encode_columns(self.encoder, picture * shown[:, None], known.flatten(0, 1).any(0))
-        return Clues.of(self.decoder.normalised(latents.float()), known)
+        mask = unknown[:, 0] == 0
+        latents = encode_columns(self.encoder, picture * shown[:, None], mask.flatten(0, 1).any(0))
+        return Clues.of(self.decoder.normalised(latents.float()), mask)
 
 
 def moment_of(time: Tensor, step: Tensor) -> Tensor:

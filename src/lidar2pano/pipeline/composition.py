@@ -161,9 +161,9 @@ def compose(panorama: Panorama, real: Photographed) -> Panorama:
 
     The invention goes over into their pixels at its borders.
     """
-    shown, seen = real.colour, real.source > 0
+    shown, mask = real.colour, real.source > 0
     invented = torch.stack(torch.from_numpy(panorama.colour).unbind(2))
-    shown = torch.where(seen, shown, invented + continued(shown, invented, seen))
+    shown = torch.where(mask, shown, invented + continued(shown, invented, mask))
     return replace(
         panorama,
         colour=shown.round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2).contiguous().numpy(),
