@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Bag1
 
 import miniature_recordings as recordings
+from lidar2pano.cli.inspect import described
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.point_messages import DEFINITIONS
@@ -98,7 +99,7 @@ def _all_of(path: Path, data: bytes) -> None:
     reader.describe(path)
     for options in OPTIONS:
         for frame in itertools.islice(reader.frames(path, options), MOST_SCANS):
-            interpret(frame.cloud(), Overrides())
+            described(*interpret(frame.cloud(), Overrides()))
     motion = recorded_motion(path, OPTIONS[0], "velodyne")
     assert motion is None or motion[1]
 
