@@ -34,7 +34,7 @@ from lidar2pano.errors import InputError
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
 # program's own; Ctrl-C; SIGTERM.
 MISTAKE, BROKEN, FAULT, INTERRUPTED, TERMINATED = 2, 1, 70, 130, 143
-GRACE_S = 3.4  # from SIGTERM on threads may work; on a busy machine the end itself takes up to 1.4 s more
+GRACE_S = 3.0  # from SIGTERM on threads may work; a busy machine takes up to 1.5 s more to take back the memory
 # Errors of the system about an unusable name; all its other errors are not the user's mistake.
 NAMES_ERRORS = {
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.EEXIST),

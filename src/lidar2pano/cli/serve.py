@@ -15,7 +15,7 @@ from lidar2pano.cli.console import print_weights
 from lidar2pano.errors import InputError
 
 MOST_CONCURRENT = 1000  # more than a server's connections
-GRACEFUL_S = 3  # for requests at work, after SIGTERM
+GRACEFUL_S = 2  # for requests at work, after SIGTERM
 
 
 @app.command()
