@@ -1,4 +1,4 @@
-"""Write docs/failure.jpg: the rear half of a PandaSet frame, as six cameras saw it and as kitti-mini paints it alone.
+"""Write docs/failure.jpg: the rear half of a PandaSet frame, as six cameras saw it and as streets paints it alone.
 
     python runs/failure_image.py data/pandaset-mini 002/000000
 
@@ -19,7 +19,7 @@ from lidar2pano.evaluate.hidden_cameras import frame_cameras
 from lidar2pano.pipeline.composition import compose, photographed
 
 WIDTH, QUALITY = 1200, 80
-FAMILY = "kitti-mini"  # the painter of `world` has learned from this street
+FAMILY = "streets"  # the painter of `world` has learned from this street
 
 
 def rear_half(image: np.ndarray) -> Image.Image:

@@ -75,7 +75,7 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["train"]:
         found = of_a_batch(sys.argv[2], sys.argv[3:])
     else:
-        found = of_a_scan(sys.argv[1] if len(sys.argv) > 1 else "kitti-mini")
+        found = of_a_scan(sys.argv[1] if len(sys.argv) > 1 else "streets")
     for name, count in sorted(found.items()):
         print(f"{count:6d}  {name}")
     print(len(found), "files")

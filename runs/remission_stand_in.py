@@ -1,6 +1,6 @@
 """Write what point classes cost without remissions, by the constant that stands in, and on PandaSet by their scale.
 
-    python runs/remission_stand_in.py [--weights kitti-mini] [--kitti data/kitti-mini] [--pandaset data/pandaset-mini]
+    python runs/remission_stand_in.py [--weights streets] [--kitti data/kitti-mini] [--pandaset data/pandaset-mini]
 
 mIoU of point classes over the classes that occur, one confusion matrix over all frames of the split "val", and of
 PandaSet. "mean": remissions multiplied so that their mean is that of KITTI's; "ranks": each replaced by KITTI's
@@ -45,7 +45,7 @@ def mean_iou(segmenter: Segmenter, chosen: Iterable[Frame], change: Change) -> f
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--weights", default="kitti-mini")
+    parser.add_argument("--weights", default="streets")
     parser.add_argument("--kitti", type=Path, default=Path("data/kitti-mini"))
     parser.add_argument("--pandaset", type=Path, default=Path("data/pandaset-mini"))
     parser.add_argument("--every", type=int, default=1, help="one of so many frames")

@@ -17,7 +17,7 @@ from lidar2pano.reproduce.paper_tables import ROWS as PAPER
 
 ROOT = Path(__file__).resolve().parent.parent
 SCORES = ROOT / "docs" / "results"
-FAMILIES = ("kitti-mini", "world")
+FAMILIES = ("streets", "world")
 TAUGHT = {"pandaset": ("world",)}  # whose painters have learned from a set: their pictures of it measure nothing
 PICTURES = ("ssim", "swd", "fid", "patch_", "edge_", "warping", "seam")
 PUBLISHED = {"TITAN-Net": PAPER["titan"], "TITAN-Next": PAPER["titan-next"]}
@@ -77,7 +77,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
 
 - **KITTI**: {val} street images (`val` of kitti-mini). The camera's rows have the paper's definitions and may be
   compared with its columns as orders of magnitude, not digit by digit: the images are others, and few. Labels are
-  predictions of other networks, as in the paper. Checkpoints of `kitti-mini` were selected on these images, which
+  predictions of other networks, as in the paper. Checkpoints of `streets` were selected on these images, which
   flatters it; the segmenter and the translator of `world` have seen no real scan, its painter none of KITTI.
 - **towns**: {towns} frames of simulated streets that no network was trained on, the only ground truth all around. There
   are no published scores of panoramas to compare with. The warping error is that of `NAME+steady`, which is given the
@@ -86,7 +86,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   has seen the place, so that its pictures of it are not scored.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
 - **Not measured again** since the hand-made rules between translator and painter went: classes and depths in the towns,
-  and fewer beams. Colours are those of the latent painters, times of `kitti-mini`.
+  and fewer beams. Colours are those of the latent painters, times of `streets`.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures; 1 is as far as real images
   are from each other. Its features are EfficientNet-Lite2's (the painters were trained against its smaller sister

@@ -21,14 +21,14 @@ text() { # STEP COMMAND...
 step() {
   case $1 in
     make-towns) [ -d "$towns" ] || lidar2pano world "$towns" --sequences 5 --frames 4 --hz 10 --seed 909 ;;
-    val) scores val kitti-mini world --data "$kitti" --split val ;;
+    val) scores val streets world --data "$kitti" --split val ;;
     labelled) scores labelled world --data "$kitti" --split labelled --metrics points ;;
-    towns) scores towns kitti-mini kitti-mini+steady world world+steady --data "$towns" --split all ;;
-    pandaset) scores pandaset kitti-mini world --data "$pandaset" --split all ;;
-    nuscenes) scores nuscenes kitti-mini world --data "$nuscenes" --split all ;;
-    beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" kitti-mini ;;
+    towns) scores towns streets streets+steady world world+steady --data "$towns" --split all ;;
+    pandaset) scores pandaset streets world --data "$pandaset" --split all ;;
+    nuscenes) scores nuscenes streets world --data "$nuscenes" --split all ;;
+    beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
-    times) text times lidar2pano bench --weights kitti-mini --runs 9 ;;
+    times) text times lidar2pano bench --weights streets --runs 9 ;;
     page) python "$(dirname "$0")/results.py" && python "$(dirname "$0")/card_scores.py" ;;
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac

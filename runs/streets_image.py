@@ -17,7 +17,7 @@ from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.layouts import frames
 
 WIDTH, GAP, QUALITY = 1536, 4, 80
-FRAMES, FAMILIES = 6, ("kitti-mini", "world")
+FRAMES, FAMILIES = 6, ("streets", "world")
 
 
 def main(root: str) -> None:

@@ -225,7 +225,7 @@ def test_no_weights_at_all(refused, here, monkeypatch):
     install_only(monkeypatch, here / "none")
     assert refused("weights list").startswith("no weights are installed")
     assert refused("translate good.bin").startswith("no weights are installed")
-    assert refused("translate good.bin --weights kitti-mini").endswith("; pip install lidar2pano-streets")
+    assert refused("translate good.bin --weights streets").endswith("; pip install lidar2pano-streets")
 
 
 # --- evaluate, train ------------------------------------------------------------------------------------------------

@@ -44,7 +44,7 @@ def contradictions(text: str) -> list[str]:
     """Phrases of a page with another number than the measured one."""
     phrases = [(match, value) for pattern, value in FIGURES.items() for match in re.finditer(pattern, text)]
     wrong = [match[0] for match, value in phrases if not agrees(match[1], value)]
-    for family in ("kitti-mini", "world"):
+    for family in ("streets", "world"):
         named = re.finditer(rf"`{family}`[^.|\n]{{0,40}}mIoU(?: of| is)? {NUMBER} ?%", text)
         wrong += [match[0] for match in named if not agrees(match[1], 100 * score(family, "miou"))]
     return wrong

@@ -64,7 +64,7 @@ def test_the_python_guide_runs(tmp_path, monkeypatch, random_weights):
     (tmp_path / "calib.txt").write_text(CALIB)
     write_las(tmp_path / "map.laz", street_points(0.2)[0])
     monkeypatch.chdir(tmp_path)
-    code = blocks(PAGES["docs/guides/python.md"].replace('"kitti-mini"', repr(str(random_weights))), "python")
+    code = blocks(PAGES["docs/guides/python.md"].replace('"streets"', repr(str(random_weights))), "python")
     assert len(code) > 3
     names: dict[str, object] = {}
     for block in code:

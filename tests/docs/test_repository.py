@@ -48,7 +48,7 @@ def test_the_results_are_those_of_the_measured_scores():
 @needs_streets
 def test_the_cards_state_the_measured_scores():
     measured = runpy.run_path(str(ROOT / "runs" / "card_scores.py"))["measured"]
-    for family in ("kitti-mini", "world"):
+    for family in ("streets", "world"):
         for role, file in weight_files(family).items():
             assert read_card(file).score == measured(family, role), "run runs/card_scores.py"
 

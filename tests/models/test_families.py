@@ -46,25 +46,32 @@ def test_the_best_installed_family_is_taken_and_named(distribution, caplog, monk
     caplog.set_level(logging.INFO, "lidar2pano")
     monkeypatch.setattr(module, "GROUP", "no entry points")
     assert best_family() == "world" and weight_files(BEST) == weight_files("world")
-    distribution("kitti-mini")
-    assert best_family() == "kitti-mini" and weight_files(BEST) == weight_files("kitti-mini")
+    distribution("streets")
+    assert best_family() == "streets" and weight_files(BEST) == weight_files("streets")
     assert caplog.messages == [
         "weights world: the best that is installed",
-        "weights kitti-mini: the best that is installed",
+        "weights streets: the best that is installed",
     ]
     assert OPTION == BEST
 
 
+def test_a_family_keeps_its_earlier_name(distribution):
+    distribution("streets")
+    assert weight_files("kitti-mini") == weight_files("streets") != weight_files("world")
+    assert weight_files("world+kitti-mini") == weight_files("world+streets")
+    assert set(families()) == {"streets", "world"}  # it is listed once
+
+
 def test_a_distribution_that_is_gone_is_no_family(distribution, tmp_path):
-    distribution("kitti-mini")
+    distribution("streets")
     shutil.rmtree(tmp_path / "site" / "streets_of_others")
     assert set(families()) == {"world"}
 
 
 def test_a_family_that_is_not_installed_is_named_with_its_distribution(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "GROUP", "no entry points")
-    with pytest.raises(InputError, match="no weights 'kitti-mini': .*; pip install lidar2pano-streets$"):
-        weight_files("kitti-mini")
+    with pytest.raises(InputError, match="no weights 'streets': .*; pip install lidar2pano-streets$"):
+        weight_files("streets")
     with pytest.raises(InputError, match="no weights 'wrld': .*did you mean 'world'"):
         weight_files("wrld")
     install_only(monkeypatch, tmp_path / "none")

@@ -72,6 +72,7 @@ CREDITS = {  # data that a card names -> whom its licence credits; a name says n
     "cityscapes": "M. Cordts",
     "camvid": "G. J. Brostow",
     "dgp": "TRI-ML/dgp",
+    "pandaset-mini": "P. Xiao",
 }
 SIMULATED = {
     "autumn",
@@ -109,5 +110,5 @@ def test_the_index_shows_pictures_and_links_without_a_repository(wheels):
 
 def test_the_entry_point_leads_to_the_weights(wheels):
     entries = wheels["lidar2pano_streets"].read("lidar2pano_streets-0.1.0.dist-info/entry_points.txt").decode()
-    assert entries.split() == ["[lidar2pano.weights]", "kitti-mini", "=", "lidar2pano_streets"]
-    assert families()["kitti-mini"] == STREETS / "src" / "lidar2pano_streets" or families()["kitti-mini"].is_dir()
+    assert entries.split() == ["[lidar2pano.weights]", "streets", "=", "lidar2pano_streets"]
+    assert families()["streets"] == STREETS / "src" / "lidar2pano_streets" or families()["streets"].is_dir()

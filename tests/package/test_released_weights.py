@@ -54,15 +54,15 @@ class Figures:
     colour_distance: float
 
 
-# measured: world 0.724, 0.851, 0.908, 0.441, 0.154, 78; kitti-mini 0.684, 0.847, 0.886, 0.371, 0.157, 40
+# measured: world 0.724, 0.851, 0.908, 0.441, 0.154, 78; streets 0.684, 0.847, 0.886, 0.371, 0.157, 40
 FLOORS = {
     "world": {"miou": 0.69, "accuracy": 0.82, "point_accuracy": 0.88, "no_depth": 0.43},
-    "kitti-mini": {"miou": 0.665, "accuracy": 0.82, "point_accuracy": 0.86, "no_depth": 0.365},
+    "streets": {"miou": 0.665, "accuracy": 0.82, "point_accuracy": 0.86, "no_depth": 0.365},
 }
 # Colours are those of photographs, not of the simulated camera; PandaSet's, which taught `world`, are dark.
 CEILINGS = {
     "world": {"abs_rel": 0.18, "colour_distance": 90.0},
-    "kitti-mini": {"abs_rel": 0.175, "colour_distance": 52.0},
+    "streets": {"abs_rel": 0.175, "colour_distance": 52.0},
 }
 
 
@@ -149,7 +149,7 @@ def test_classes_have_the_colours_of_a_street(made: tuple[str, lidar2pano.Panora
 
 @needs_streets
 def test_another_seed_is_another_picture_of_the_same_belief() -> None:
-    pipeline = lidar2pano.load("kitti-mini", "cpu", "torch")
+    pipeline = lidar2pano.load("streets", "cpu", "torch")
     one, other = (pipeline.in_variant(seed=seed)(lidar2pano.read(street())) for seed in (0, 1))
     assert np.abs(one.colour.astype(int) - other.colour).mean() > 2
     assert np.array_equal(one.segments, other.segments) and np.array_equal(one.depth_m, other.depth_m)
@@ -160,7 +160,7 @@ def test_the_fleets_page_has_the_sizes_and_operations_of_a_panorama(tmp_path) ->
     pytest.importorskip("isal", reason="the extra 'fast': PNGs have its sizes")
     page = (FOLDER.parents[1] / "docs" / "guides" / "bulk.md").read_text(encoding="utf-8")
     with FlopCounterMode(display=False) as counter:
-        panorama = lidar2pano.load("kitti-mini", "cpu", "torch")(lidar2pano.read(street()))
+        panorama = lidar2pano.load("streets", "cpu", "torch")(lidar2pano.read(street()))
     convolutions = sum(count for name, count in counter.get_flop_counts()["Global"].items() if "conv" in str(name))
     panorama.save(tmp_path, what=("rgb", "depth", "segments"))
     measured = {r"takes (\d+) GFLOP": convolutions / 1e9} | {
@@ -184,7 +184,7 @@ def test_roads_lie_and_walls_stand(seen: tuple[str, Scene, lidar2pano.Panorama])
 @needs_streets
 def test_belief_takes_few_tensor_operations() -> None:
     """Project, segment, clean up and translate: thousands of small operations are slow on a GPU."""
-    rows = {row.stage: row.operations for row in measure_operations("kitti-mini", "cpu")}
+    rows = {row.stage: row.operations for row in measure_operations("streets", "cpu")}
     assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
     assert sum(rows[stage] for stage in BELIEF) < rows[WHOLE] <= 2500, rows
 

@@ -59,7 +59,7 @@ def service(image: Image) -> Iterator[str]:
 @of_linux
 def test_the_image_is_free_of_other_licences_and_of_its_sources(image):
     listed = image.run("lidar2pano weights list")
-    assert "world" in listed.stdout and "kitti-mini" not in listed.stdout, listed.stderr
+    assert "world" in listed.stdout and "streets" not in listed.stdout, listed.stderr
     assert list(image.place("/build").iterdir()) == [] and not image.place("/tmp/demo").exists()
 
 

@@ -50,8 +50,8 @@ NOT_RUN = {  # beginning of a line -> why no test types it
     "rerun ": "opens a window",
     "python runs/serve_load.py": "loads a server for a minute; by hand",
     "lidar2pano bulk /data/drives --out /data/panoramas --ray head:6379": "no cluster here",
-    "lidar2pano evaluate kitti-mini --data data/pandaset": "PandaSet does not ship; tests/evaluate has a small one",
-    "lidar2pano evaluate kitti-mini 'OUT/levels": "needs hours of training; tests/evaluate/test_folds.py",
+    "lidar2pano evaluate streets --data data/pandaset": "PandaSet does not ship; tests/evaluate has a small one",
+    "lidar2pano evaluate streets 'OUT/levels": "needs hours of training; tests/evaluate/test_folds.py",
     "python runs/cross_validation.py": "trains for hours; tests/train/test_cross_validation.py",
     "lidar2pano prepare ROOT --lidar none --teacher mask2former:PATH": "the teacher's weights do not ship",
     "lidar2pano prepare ROOT --teacher": "no camera teacher ships; tests/prepare has small ones",
@@ -202,7 +202,7 @@ def test_documented_line(line, family, bench, request, capfd):
     words = line._replace(text=abridged(line.text)).words
     assert words[0] == "lidar2pano", f"no test types {words[0]!r}: run it, or enter it in NOT_RUN with the reason"
     if family:
-        words = [family if word == "kitti-mini" else word for word in words]
+        words = [family if word == "streets" else word for word in words]
         words += ["--weights", family] if words[1] != "export" else []
     run = follow if "--follow" in words else in_a_child if "--ray" in words else main
     code = run(words[1:])
@@ -315,6 +315,6 @@ def test_documented_python(page, family, bench):
     names: dict[str, object] = {"points": np.fromfile("scan.bin", np.float32).reshape(-1, 4), "message": message}
     names |= {"o3d_cloud": SimpleNamespace(points=scan.xyz), "pipeline": lidar2pano.load(family)}
     for block in blocks(PAGES[page], "python"):
-        code = block.replace('load("kitti-mini")', f'load("{family}")').replace("load()", f'load("{family}")')
+        code = block.replace('load("streets")', f'load("{family}")').replace("load()", f'load("{family}")')
         exec(compile(code, page, "exec"), names)
     assert any(name in names for name in ("panorama", "scan")), sorted(names)

@@ -83,7 +83,7 @@ def test_parts_come_once_and_a_painter_after_its_translator(plan):
     assert len(set(parts)) == len(parts) and "oracle" not in parts
     assert parts[0] == "salsanext" and parts[-2:] == ["autoencoder", "latent-painter"] and "titan-pano" in parts
     assert "autoencoder" not in replace(plan, rows={"titan": ROWS["titan"]}).parts
-    assert "salsanext" not in replace(plan, segmenter="kitti-mini").parts
+    assert "salsanext" not in replace(plan, segmenter="streets").parts
 
 
 def test_recipes_fit_the_data_at_hand(plan, tmp_path):

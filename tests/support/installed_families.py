@@ -13,7 +13,7 @@ from lidar2pano.models.families import families
 
 INSTALLED = tuple(families())
 needs_streets = pytest.mark.needs(
-    "kitti-mini" in INSTALLED, "the weights kitti-mini: pip install ./packages/lidar2pano-streets, in a clone"
+    "streets" in INSTALLED, "the weights streets: pip install ./packages/lidar2pano-streets, in a clone"
 )
 
 

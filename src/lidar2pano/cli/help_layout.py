@@ -31,7 +31,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "view": ("lidar2pano view scan.pcd", "lidar2pano view drive/velodyne --out drive.html"),
     "bulk": ("lidar2pano bulk drives/ --out panoramas", "lidar2pano bulk drives/ --out panoramas --shard 3/8"),
     "serve": ("lidar2pano serve", "curl --data-binary @scan.bin http://127.0.0.1:8360/panorama -o panorama.png"),
-    "evaluate": ("lidar2pano evaluate kitti-mini world --data ROOT --split val",),
+    "evaluate": ("lidar2pano evaluate streets world --data ROOT --split val",),
     "reproduce": (
         "lidar2pano reproduce --data ROOT --out DIR --budget 20m --dry-run",
         "lidar2pano reproduce --data ROOT --out DIR --rows titan,pix2pix",

@@ -14,8 +14,9 @@ from lidar2pano.models.card import Card, read_card
 
 RELEASED = Path(__file__).parent.parent / "weights"
 GROUP = "lidar2pano.weights"  # entry points of other distributions: family = the package with its files
-DISTRIBUTIONS = {"kitti-mini": "lidar2pano-streets"}  # family -> its distribution
-PREFERENCE = ("kitti-mini", "world")  # the better one on real scans first
+ALIASES = {"kitti-mini": "streets"}  # earlier names of families
+DISTRIBUTIONS = {"streets": "lidar2pano-streets"}  # family -> its distribution
+PREFERENCE = ("streets", "world")  # the better one on real scans first
 BEST = "best"  # in place of a family: the first installed one of PREFERENCE
 FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
 ROLES: dict[str, str] = {
@@ -63,13 +64,14 @@ def best_family() -> str:
 def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict[str, Path]:
     """Files by role (see `role`) of a name or path.
 
-    name  a family; BEST; a folder of weight files or a training run (its `weights/`); or one weight file. Several
+    name  a family, or its earlier name; BEST; a folder of weight files or a training run (its `weights/`); or one weight file. Several
           joined by "+" are taken together, later ones in the places of earlier ones. Other roles are filled
           by the best installed family, if there is one and `fill` is true.
     look  of several painters, one for each look, the file of this name (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
     installed = families()
+    name = ALIASES.get(str(name), name)
     if str(name) == BEST:
         name = best_family()
         log.info("weights %s: the best that is installed", name)

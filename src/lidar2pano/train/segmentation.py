@@ -186,7 +186,7 @@ def salsanext(channels: int = 5) -> Recipe[SegmentationOptions]:
 
 
 def salsanext_mini() -> Recipe:
-    """SalsaNext as `kitti-mini` was released: all labelled scans, some minutes of two CPU cores.
+    """SalsaNext on all labelled scans of a small data set, in some minutes of two CPU cores.
 
     Streets run along x in so small a set, and little time is left for rare classes.
     """
