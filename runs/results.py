@@ -20,6 +20,7 @@ SCORES = ROOT / "docs" / "results"
 FAMILIES = ("streets", "world")
 TAUGHT = {"pandaset": ("world",)}  # whose painters have learned from a set: their pictures of it measure nothing
 PICTURES = ("ssim", "swd", "fid", "patch_", "edge_", "warping", "seam")
+MEASURED_BY = {"without-pandaset": "streets"}  # runs that have not seen a place stand for the family that has
 PUBLISHED = {"TITAN-Net": PAPER["titan"], "TITAN-Next": PAPER["titan-next"]}
 Scores = dict[tuple[str, str, str], dict[str, Any]]  # (system, sector, metric) -> value, low, high, frames
 
@@ -77,13 +78,15 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
 
 - **KITTI**: {val} street images (`val` of kitti-mini). The camera's rows have the paper's definitions and may be
   compared with its columns as orders of magnitude, not digit by digit: the images are others, and few. Labels are
-  predictions of other networks, as in the paper. Checkpoints of `streets` were selected on these images, which
-  flatters it; the segmenter and the translator of `world` have seen no real scan, its painter none of KITTI.
+  predictions of other networks, as in the paper. Earlier stages of `streets` were chosen by these images, which
+  flatters it; the last one was not: it was compared on streets that its runs had not seen (below). `world` has seen
+  no scan and no image of KITTI.
 - **towns**: {towns} frames of simulated streets that no network was trained on, the only ground truth all around. There
   are no published scores of panoramas to compare with. The warping error is that of `NAME+steady`, which is given the
   sensor's poses; the ground truth's own is {still}.
-- **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras; of all networks the painter of `world` alone
-  has seen the place, so that its pictures of it are not scored.
+- **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches `streets`, which
+  is therefore measured by the run of its last stage that was not shown the place, and the painter of `world`, whose
+  pictures of it are not scored.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
 - **Not measured again** since the hand-made rules between translator and painter went: classes and depths in the towns,
   and fewer beams. Colours are those of the latent painters, times of `streets`.
@@ -93,6 +96,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   Lite0) and, as edge features, those of VGG-16 fine-tuned on edges (HED), on images of full and of half size.
 """
 TEXTS = {
+    "folds": "Streets that the networks have not seen: the release before, and its last stage without each place",
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",
     "evidence": "Evidence beside the translator's classes",
@@ -103,14 +107,14 @@ TEXTS = {
 def read_scores(path: Path) -> Scores:
     """Return the values of a CSV file of `lidar2pano evaluate`; empty values are None. No file has no values.
 
-    Pictures of a family that has learned from the set are left out.
+    Pictures of a family that has learned from the set are left out. Runs of MEASURED_BY have their family's name.
     """
     if not path.is_file():
         return {}
     taught = TAUGHT.get(path.stem, ())
     with path.open(encoding="utf-8", newline="") as file:
         return {
-            (line["system"], line["sector"], line["metric"]): {
+            (MEASURED_BY.get(line["system"], line["system"]), line["sector"], line["metric"]): {
                 name: float(line[name]) if line[name] else None for name in ("value", "low", "high", "frames")
             }
             for line in csv.DictReader(file)

@@ -2,16 +2,21 @@
 # Measure the released families and write RESULTS.md, step by step:
 #   runs/results.sh KITTI TOWNS PANDASET NUSCENES [STEP...]
 # KITTI has the splits val and labelled; TOWNS is a simulated set that no network was trained on (see `towns` below);
-# PANDASET and NUSCENES have surround cameras. Without a STEP all run in turn; each writes one file in docs/results:
+# PANDASET and NUSCENES have surround cameras.
+#   FOLDS=   families of the last stage that have not seen a place: FOLDS/without-pandaset, FOLDS/without-k04, ..., and
+#            FOLDS/before, which none of them had taught; MORE=: folder of the places k04, k09 and dgp
+# Without a STEP all run in turn; each writes one file in docs/results:
 #   make-towns  simulate TOWNS, unless it is there
 #   val labelled towns pandaset nuscenes   scores, as CSV
+#   folds                                  classes on streets that a run has not seen
 #   beams remission                        scores with fewer beams and without remission
 #   times                                  milliseconds on this machine
 #   page        RESULTS.md and the scores of cards from these files; costs nothing
 set -euo pipefail
 kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
+pandaset=$(realpath "$pandaset")
 shift 4
-out=$(dirname "$0")/../docs/results
+out=$(cd "$(dirname "$0")/../docs/results" && pwd)
 scores() { # STEP EVALUATE-ARGUMENTS...
   lidar2pano evaluate "${@:2}" --csv "$out/$1.csv"
 }
@@ -24,7 +29,11 @@ step() {
     val) scores val streets world --data "$kitti" --split val ;;
     labelled) scores labelled world --data "$kitti" --split labelled --metrics points ;;
     towns) scores towns streets streets+steady world world+steady --data "$towns" --split all ;;
-    pandaset) scores pandaset streets world --data "$pandaset" --split all ;;
+    pandaset) (cd "$FOLDS" && scores pandaset without-pandaset world --data "$pandaset" --split all) ;;
+    folds)
+      (cd "$FOLDS" && text folds lidar2pano evaluate before "without-{fold}" --metrics classes \
+        --folds k04="$MORE/k04:all" --folds k09="$MORE/k09:all" --folds dgp="$MORE/dgp:other")
+      ;;
     nuscenes) scores nuscenes streets world --data "$nuscenes" --split all ;;
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
@@ -33,6 +42,6 @@ step() {
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
 }
-for each in "${@:-make-towns val labelled towns pandaset nuscenes beams remission times page}"; do
+for each in "${@:-make-towns val labelled towns pandaset nuscenes folds beams remission times page}"; do
   for name in $each; do step "$name"; done
 done
