@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Train the families `world` and `kitti-mini` from random weights, and put them into the package:
+# Train the families `world` and `streets` from random weights, and put them into the package:
 #   runs/release.sh KITTI OUT
 # KITTI is a data set in SemanticKITTI's layout with camera_labels/ and the splits train, val and labelled. Every stage
 # resumes: run the same command again after an interruption, in slices as short as a machine allows. Seeds are those of
@@ -7,8 +7,10 @@
 #   FORM=        the recipes' full size, for a GPU (default -mini: two CPU cores)
 #   MINUTES=1.5  each stage takes so many times as long (default 1)
 #   TOWNS=1000   how many towns are simulated (default 60)
-#   PHOTOGRAPHS= splits with images that teach the painter of `kitti-mini`: "train,FOLDER:split,..." (default train)
-#   CLEAN=       likewise of `world`, of licences that allow any use: PandaSet, DGP (default: of towns alone)
+#   PHOTOGRAPHS= splits with images that teach the painter of `streets`: "train,FOLDER:split,..." (default train)
+#   PLACES=      splits with scans of other places and sensors that teach segmenter and translator of `streets`; a scan
+#                without labels of its own needs a labelled image (default: none)
+#   CLEAN=       photographs for the painter of `world`, of licences that allow any use: PandaSet, DGP (default: of towns alone)
 # For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there.
 # The weights of version 0.1.0 were not made by this script but stage by stage, by earlier scripts that are in the history
 # up to b3e012f: with networks pruned, averaged and finished between stages.
@@ -57,13 +59,15 @@ done
 world day --sequences $((towns / 5)) --frames 4 --hz 1.5 --seed 101
 world centre --place centre --sequences $((towns / 5)) --frames 3 --hz 0.7 --seed 12101
 world pandar64-day --sensor pandar64 --sequences $((towns / 15)) --frames 3 --hz 0.7 --seed 14201
+world pandar64-centre --sensor pandar64 --place centre --sequences $((towns / 10)) --frames 4 --hz 1 --seed 33001
+world os1-128-day --sensor os1-128 --sequences $((towns / 10)) --frames 1 --hz 1 --seed 44001
 for look in overcast autumn evening; do
   world "$look" --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 202 --look "$look"
 done
 world test --sequences 5 --frames 4 --hz 10 --seed 909
 day=$out/towns/day
 sensors=$(printf "$out/towns/%s-scans:all," pandar64 os1-128 hdl32e vlp16)
-looks=$(printf "$out/towns/%s:all," overcast autumn evening centre pandar64-day)
+looks=$(printf "$out/towns/%s:all," overcast autumn evening centre pandar64-day pandar64-centre os1-128-day)
 scans=$out/towns/centre-scans:all,${sensors%,} pictures=${looks%,}
 
 # Family `world`: simulated data, and photographs of CLEAN. A segmenter is taught by one with twice the arithmetic.
@@ -77,7 +81,7 @@ painter world "$day" "${CLEAN:-all}" "$(weights world-segmenter segmenter)" "$(w
 family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
   "$(weights world-painter painter)" "$out/towns/test" all Apache-2.0
 
-# Family `kitti-mini`: real frames beside towns, from the networks of `world`; segmenter and translator are taught by wide ones.
+# Family `streets`: real frames beside towns, from the networks of `world`; segmenter and translator are taught by wide ones.
 often=$(printf 'train,%.0s' {1..6})$(printf 'labelled,%.0s' {1..8})
 real=train,train,train,"$day:all,$pictures"
 stage wide-segmenter release-segmenter "$kitti" 60 data.train="$often$scans" "${any_direction[@]}" \
@@ -89,6 +93,18 @@ stage wide-translator release-translator "$kitti" 75 data.train="$real" training
   networks.translator.start="$(weights world-translator translator)"
 stage translator fast-translator "$kitti" 90 data.train="$real" training.validate_minutes=0 "$labels" \
   options.teacher="$(weights wide-translator translator)" options.elsewhere_probability=0.35
-painter kitti "$kitti" "${PHOTOGRAPHS:-train}" "$(weights segmenter segmenter)" "$(weights translator translator)"
-family kitti-mini "$(weights segmenter segmenter)" "$(weights translator translator)" "$(weights kitti-painter painter)" \
+# Both go on with scans of other places and sensors, above an HDL-64E's beams too, at any level of remission, and keep half
+# of their weights: trained alone they forget some of what they knew (docs/guides/train.md).
+others=${PLACES:+,$PLACES}
+stage further-segmenter fast-segmenter "$kitti" 22 data.train="$often$scans$others" "${any_direction[@]}" \
+  options.remission_octaves=3 options.tallest=hdl64e-tall options.fixed_norms=true training.batch=2 \
+  training.accumulate=2 networks.segmenter.optimizer.rate=1e-3 \
+  networks.segmenter.start="$(weights segmenter segmenter)" networks.segmenter.start_share=0.5
+stage further-translator fast-translator "$kitti" 30 data.train="train,train,$real$others" training.validate_minutes=0 \
+  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 \
+  networks.translator.optimizer.rate=5e-4 \
+  networks.translator.start="$(weights translator translator)" networks.translator.start_share=0.5
+streets=("$(weights further-segmenter segmenter)" "$(weights further-translator translator)")
+painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}"
+family streets "${streets[@]}" "$(weights streets-painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0
