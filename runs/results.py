@@ -84,8 +84,8 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
 - **towns**: {towns} frames of simulated streets that no network was trained on, the only ground truth all around. There
   are no published scores of panoramas to compare with. The warping error is that of `NAME+steady`, which is given the
   sensor's poses; the ground truth's own is {still}.
-- **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches `streets`, which
-  is therefore measured by the run of its last stage that was not shown the place, and the painter of `world`, whose
+- **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches `streets`, which is
+  therefore measured by the run of its last stage that was not shown the place, and the painter of `world`, whose
   pictures of it are not scored.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
 - **Not measured again** since the hand-made rules between translator and painter went: classes and depths in the towns,
