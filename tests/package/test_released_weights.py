@@ -21,12 +21,14 @@ import lidar2pano
 from installed_families import INSTALLED, needs_streets
 from lidar2pano.bench import BELIEF, WHOLE, _Counter, measure_operations
 from lidar2pano.demo import street
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import Memory
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import cylinder_points, normals
+from miniature_surround import camera_view, six
 
 FOLDER = Path(__file__).resolve().parents[1] / "demo_ground_truth"
 SCORED = ("car", "road", "sidewalk", "building", "vegetation", "terrain", "sky")  # at least 3,000 of 110,592 pixels
@@ -187,6 +189,18 @@ def test_belief_takes_few_tensor_operations() -> None:
     rows = {row.stage: row.operations for row in measure_operations("streets", "cpu")}
     assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
     assert sum(rows[stage] for stage in BELIEF) < rows[WHOLE] <= 2500, rows
+
+
+@needs_streets
+def test_cameras_add_little_arithmetic() -> None:
+    """What they see is encoded: with one camera some columns, with six all."""
+    pipeline, scan, flops = lidar2pano.load("streets", "cpu", "torch"), lidar2pano.read(street()), list[int]()
+    cameras = [Camera(camera_view(one), one) for one in six().values()]
+    for count in (0, 1, 6):
+        with FlopCounterMode(display=False) as counter:
+            pipeline(scan, cameras[:count])
+        flops.append(counter.get_total_flops())
+    assert flops[0] < flops[1] < 1.1 * flops[0] and flops[1] < flops[2] < 1.3 * flops[0]
 
 
 def test_operations_are_as_many_on_every_machine() -> None:

@@ -385,8 +385,8 @@ class LatentPainter(nn.Module):
 
         Those of cells at its edge are left out: the encoder read beyond it.
         """
-        unknown = max_pool2d(pad_azimuth(max_pool2d((~shown)[:, None].float(), FACTOR), 1), 3, 1, (1, 0))
-        mask = unknown[:, 0] == 0
+        whole = shown.view(torch.uint8).unflatten(1, (-1, FACTOR)).amin(2).unflatten(2, (-1, FACTOR)).amin(3)
+        mask = max_pool2d(pad_azimuth(1.0 - whole[:, None], 1), 3, 1, (1, 0))[:, 0] == 0
         latents = encode_columns(self.encoder, picture * shown[:, None], mask.flatten(0, 1).any(0))
         return Clues.of(self.decoder.normalised(latents.float()), mask)
 

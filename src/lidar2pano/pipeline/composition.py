@@ -42,6 +42,7 @@ from lidar2pano.views import VIEWS, View
 FEW = 0.01  # largest share of an image's pixels on the other side
 MOST_APART_S = 0.1  # half a period of the slowest LiDARs (VLP-16: 5 to 20 turns a second)
 EVERY_PX = 4  # one of so many rows and columns of an image is looked at
+EVERY_POINT = 16  # of a scan: one of so many is nearly always in sight of a camera, if any is
 BEAMS = replace(VIEWS["hdl64e"], columns=1024)  # as coarse as a turn of the slower LiDARs: neighbours are neighbours
 FEWEST_EDGES = 30  # points whose mean is taken to be normal
 STANDARD_ERRORS = 3.0  # by which a turned image must fit better: by chance it does in one of 700 cases
@@ -86,7 +87,7 @@ def _fault(camera: Camera, points: Tensor) -> str:
             return f"its image is {side}; clean or mend it"
     if camera.time_s is not None and abs(camera.time_s) > MOST_APART_S:
         return f"its image was taken {abs(camera.time_s):.3g} s {'after' if camera.time_s > 0 else 'before'} the scan"
-    if not len(_sight(camera, points).surface):
+    if not any(len(_sight(camera, part).surface) for part in (points[:, ::EVERY_POINT], points)):
         return "its calibration looks away from all points of the scan; check its pose"
     return ""
 
@@ -214,14 +215,14 @@ def brought_together(
         chosen = indices_of(sampled.index_select(0, sight.surface))
         pixels, codes = sight.surface.index_select(0, chosen).numpy(), layer.index_select(1, chosen).numpy()
         sound = ((codes >= BLACK) & (codes <= WHITE)).all(0)
-        samples.append((pixels[sound], codes[:, sound].astype(np.float64)))
+        samples.append((pixels[sound], codes[:, sound]))
     matrix, right = np.zeros((3, count, count)), np.zeros((3, count))
     for i, j in combinations(range(count), 2):
         pixels, first, second = np.intersect1d(samples[i][0], samples[j][0], assume_unique=True, return_indices=True)
         if not len(pixels):
             continue
-        for a, b, mean, partner in ((i, j, first, second), (j, i, second, first)):
-            own, their = samples[a][1][:, mean].mean(1), samples[b][1][:, partner].mean(1)
+        means = [samples[k][1].take(place, 1).mean(1, dtype=np.float64) for k, place in ((i, first), (j, second))]
+        for a, b, (own, their) in ((i, j, means), (j, i, means[::-1])):
             matrix[:, a, a] += len(pixels) * (2 * (own / INTENSITY_ERROR) ** 2 + GAIN_ERROR**-2)
             matrix[:, a, b] -= len(pixels) * 2 * own * their / INTENSITY_ERROR**2
             right[:, a] += len(pixels) * GAIN_ERROR**-2
