@@ -64,9 +64,9 @@ def best_family() -> str:
 def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict[str, Path]:
     """Files by role (see `role`) of a name or path.
 
-    name  a family, or its earlier name; BEST; a folder of weight files or a training run (its `weights/`); or one weight file. Several
-          joined by "+" are taken together, later ones in the places of earlier ones. Other roles are filled
-          by the best installed family, if there is one and `fill` is true.
+    name  a family, or its earlier name; BEST; a folder of weight files or a training run (its `weights/`); or one
+          weight file. Several joined by "+" are taken together, later ones in the places of earlier ones. Other roles
+          are filled by the best installed family, if there is one and `fill` is true.
     look  of several painters, one for each look, the file of this name (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
