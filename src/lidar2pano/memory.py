@@ -90,11 +90,13 @@ class Memory:
     """State that a stream carries from one scan to the next. `Memory()` is its beginning.
 
     frames    number of scans so far; a panorama's `frame` is its place in the stream.
-    painted   the painter's own record of the latest scan (StreamPainter).
+    view      raster on which the first scan decided, if it did;  painted: the painter's own record of the latest scan
+              (StreamPainter).
     around    classes and depths, and previous: the latest panorama, where the sensor's pose was given.
     """
 
     frames: int = 0
+    view: View | None = None
     painted: Any = None
     around: Surroundings | None = None
     previous: PreviousFrame | None = None

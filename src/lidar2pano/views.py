@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -10,6 +11,7 @@ from lidar2pano.errors import InputError, closest
 
 FULL_TURN = 360.0  # degrees
 MOST_PIXELS = 1 << 24  # nine times the panorama's
+STEEPEST_DEG = 60.0  # elevation of a panorama's rows: a cylinder's grow without end towards 90
 SLACK, DIGITS = 1e-6, 12  # rows, by which a whole number may be exceeded; of borders of elevation
 
 
@@ -104,6 +106,20 @@ VIEWS: dict[str, View] = {
     "nuscenes": View(rows=32, columns=1024, up=10.67, down=-30.67),  # its LIDAR_TOP is an HDL-32E
     "waymo-top": View(rows=64, columns=2650, up=2.4, down=-17.6),  # Waymo Open Dataset, Sun et al. 2020, table 2
 }
+
+
+def elevation_range(value: str | Iterable[float]) -> tuple[float, float] | None:
+    """Return LOW and HIGH, degrees, of "LOW,HIGH" or two numbers; None for "auto"; InputError for anything else."""
+    if value == "auto":
+        return None
+    try:
+        low, high = map(float, value.split(",") if isinstance(value, str) else value)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not -STEEPEST_DEG <= low < high <= STEEPEST_DEG:
+        limits = f"-{STEEPEST_DEG:g} <= LOW < HIGH <= {STEEPEST_DEG:g}"
+        raise InputError(f"elevation {value!r}: is neither auto nor LOW,HIGH in degrees; name two numbers, {limits}")
+    return low, high
 
 
 def columns_between(view: View, left: float, right: float) -> list[int]:

@@ -40,6 +40,7 @@ def test_the_bytes_are_those_of_translate(drive, random_weights, capsys):
     assert line["outputs"] == ["one/a.png", "one/a.segments.png", "one/a.label", "one/a.depth.png"]
     assert line["weights"] == str(random_weights) and line["milliseconds"]["translate"] > 0
     settings = json.loads((drive / "bulk" / "bulk.json").read_text())
+    assert settings["elevation"] is None, "as if it were not there, as in runs of before"
     assert settings["save"] == ["rgb", "segments", "labels", "depth"] and len(settings["sha256"]["painter"]) == 64
 
 
@@ -75,6 +76,8 @@ def test_the_address_may_be_left_out(words, address):
         (["drive", "--out", "o", "--as", "semantikitti"], "did you mean 'semantickitti'?"),
         (["drive", "--out", "o", "--save", "rbg"], "did you mean 'rgb'?"),
         (["drive", "--out", "o", "--format", "webp", "--as", "semantickitti"], "a data set's panoramas are PNG"),
+        (["drive", "--out", "o", "--elevation", "auto", "--as", "semantickitti"], "panoramas have the usual rows"),
+        (["drive", "--out", "o", "--elevation", "9,8"], "elevation '9,8': is neither auto nor LOW,HIGH"),
         (["drive", "--out", "o", "--look", "B"], "the painter knows no look 'B'; it knows day"),
         (["drive", "--out", "drive"], "drive: is the folder of the scans; choose another --out"),
         (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is neither a folder nor a recording"),

@@ -104,6 +104,12 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
         ),
         ("--sensor os1_64", "no sensor 'os1_64'; did you mean 'os1-64'?"),
         ("--sensor panorama", "no sensor 'panorama'"),
+        (
+            "--elevation 30,-30",
+            "elevation '30,-30': is neither auto nor LOW,HIGH in degrees; name two numbers, -60 <= ",
+        ),
+        ("--elevation -61,0", "elevation '-61,0': is neither auto nor LOW,HIGH in degrees; name two numbers, -60 <= "),
+        ("--elevation up", "elevation 'up': is neither auto nor LOW,HIGH in degrees; name two numbers, -60 <= LOW < "),
         ("--weights other", "no weights 'other': neither a released family nor a file"),
         ("--device gpu", "no device 'gpu'; there is auto, cpu and cuda"),
         ("--out file", "file: cannot be written (file is not a folder); choose another --out"),

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -19,8 +20,10 @@ from lidar2pano.engines.runtimes import OnnxRuntime, OpenVino
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
+from lidar2pano.models.titan_pano import with_rows
 from lidar2pano.pipeline import engine_parts, load, made_fast
 from lidar2pano.progress import shown_by
+from lidar2pano.views import VIEWS
 from random_weights import spread_norms, street
 
 CPU = torch.device("cpu")
@@ -199,6 +202,19 @@ def test_a_network_is_built_once_per_shape_and_weights(builds):
     forward_of(TorchEngine(), weights="")(*inputs)
     forward_of(TorchEngine(), weights="")(*inputs)
     assert len(builds) == 5, "nothing on disk without a checksum"
+
+
+@pytest.mark.parametrize("engine", [OpenVino, TorchEngine])
+def test_rows_of_other_elevations_are_read_by_engines(engine):
+    if engine is OpenVino:
+        pytest.importorskip("openvino")
+    network, (image, condition) = network_of("titan-pano"), inputs_of("titan-pano")
+    usual = replace(VIEWS["panorama"], rows=32, columns=64)
+    forward = CompiledForward(network, "titan-pano", "w", engine(), compiles=True, optional=False)
+    for view in (usual, replace(usual, up=0.6), replace(usual, down=-0.6)):
+        inputs = with_rows(image, view), condition
+        assert agrees(network, "titan-pano", inputs, as_tuple(forward(*inputs))), view
+    assert len(forward._runs) == 2
 
 
 def test_few_shapes_are_held(builds):

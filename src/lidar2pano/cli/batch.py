@@ -41,7 +41,7 @@ from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.translation import Translation, Translator, translate
 from lidar2pano.viewer.outputs import Output, OutputFiles
 from lidar2pano.viewer.page import title_of
-from lidar2pano.views import sensor_view
+from lidar2pano.views import elevation_range, sensor_view
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +67,7 @@ class Options:
     look: str = ""
     quality: str = "fast"
     seed: int = 0
+    elevation: str = ""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     engine: str = "auto"
     image_format: str = "png"
@@ -84,6 +85,7 @@ class Options:
         if self.look and not paints_look(self.files, self.look):
             pipeline = pipeline.in_look(self.look)
         pipeline = pipeline.in_variant(self.quality, self.seed)
+        pipeline = pipeline.reaching(self.elevation) if self.elevation else pipeline
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 
@@ -102,6 +104,8 @@ def checked_options(
     options = Options(weights=name, files=files, note=note, device=picked, look=look, engine=engine, **further)
     if options.sensor:
         sensor_view(options.sensor)
+    if options.elevation:
+        elevation_range(options.elevation)
     if "valid" in options.save and not options.calibration:
         raise InputError("--save valid: is where the panorama reaches in a camera's image; name its --calib too")
     return options

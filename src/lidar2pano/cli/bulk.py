@@ -84,6 +84,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     look: opt.LookOption = "",
     quality: opt.QualityOption = "fast",
     seed: opt.SeedOption = 0,
+    elevation: opt.ElevationOption = "",
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
     image_format: opt.FormatOption = "png",
@@ -103,12 +104,12 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.formats.readers import ReadOptions
 
     pictures = opt.collect_pictures(image_format, projection)
-    _check_layout(layout, **pictures)
+    _check_layout(layout, elevation, **pictures)
     source, only = _source(root)
     part = Shard.parsed(shard)
     options = checked_options(
         weights,
-        **opt.collect_choices("cpu" if address else device, engine, look, quality, seed),
+        **opt.collect_choices("cpu" if address else device, engine, look, quality, seed, elevation),
         out=Path(out),
         save=opt.parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         **pictures,
@@ -141,6 +142,7 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     store = open_store(job.source)
     listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     painted = {"look": options.look, "quality": options.quality, "seed": options.seed}
+    painted["elevation"] = options.elevation or None  # no entry in runs of before
     settings = painted | {"engine": options.engine, "format": options.image_format}
     start(job, listed, options.files, settings)
     print_weights(options.note, map(read_card, options.files.values()))
@@ -196,13 +198,15 @@ def _source(root: str) -> tuple[str, str]:
     return folder or "/", name
 
 
-def _check_layout(layout: str, image_format: str, projection: str) -> None:
+def _check_layout(layout: str, elevation: str, image_format: str, projection: str) -> None:
     from lidar2pano.bulk.entries import LAYOUTS
 
     if layout not in LAYOUTS:
         raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
     if layout and image_format != "png":
         raise InputError(f"--format {image_format}: a data set's panoramas are PNG; leave it out, or --as")
+    if layout and elevation:
+        raise InputError(f"--elevation {elevation}: a data set's panoramas have the usual rows; leave it out, or --as")
     if layout and projection != "cylinder":
         raise InputError(f"--projection {projection}: a data set's panoramas are cylinders; leave it out, or --as")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -35,8 +36,10 @@ def export(
     networks = networks_of(pipeline)
     check_exportable({name: model for name, (_, model, _) in networks.items()})
     inputs = record_inputs(pipeline)
+    cards = dict(pipeline.cards)  # with the raster of the graphs: translators may have learned taller ones
+    cards["translator"] = replace(cards["translator"], views={"panorama": pipeline.view.as_dict()})
     parts = {
-        name: Exportable(network=network, model=model, card=pipeline.cards[role].to_json(), inputs=inputs[name])
+        name: Exportable(network=network, model=model, card=cards[role].to_json(), inputs=inputs[name])
         for name, (role, model, network) in networks.items()
     }
     written = export(parts, folder)

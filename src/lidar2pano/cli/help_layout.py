@@ -11,7 +11,7 @@ PANELS: dict[str, str] = {  # group -> its options, of whatever command
     " --follow",
     "How scans are read": "--sensor --sensor-height --forward --remission --strict --labels",
     "Cameras": "--camera --cameras --mask --calib --image-size --leave-out",
-    "Panoramas": "--weights --look --quality --seed --steady --invent",
+    "Panoramas": "--weights --elevation --look --quality --seed --steady --invent",
     "Teachers": "--lidar --teacher --scales --unsure",
     "Training": "--set --budget --rows --segmenter --form --dry-run",
     "Scores": "--metrics --sdnet --inception --worst --runs --operations --world",

@@ -74,6 +74,13 @@ LookOption = Annotated[
 ]
 QualityOption = Annotated[str, typer.Option(metavar="fast|best", help="Steps of a latent painter: two, or four.")]
 SeedOption = Annotated[int, typer.Option(metavar="S", help="Another plausible panorama by a latent painter.")]
+ElevationOption = Annotated[
+    str,
+    typer.Option(
+        metavar="LOW,HIGH|auto",
+        help="Elevations of the panorama, degrees; auto: what the sensor sees, and ten more. Else -15.8,13.4.",
+    ),
+]
 SteadyOption = Annotated[
     bool,
     typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
@@ -151,9 +158,12 @@ RerunOption = Annotated[
 ]
 
 
-def collect_choices(device: str, engine: str, look: str, quality: str, seed: int) -> dict[str, Any]:
-    """Return where the networks run and how they paint, as arguments of `batch.checked_options`."""
-    return {"device": device, "engine": engine, "look": look, "quality": quality, "seed": seed}
+def collect_choices(  # noqa: PLR0913, PLR0917 one parameter per option
+    device: str, engine: str, look: str, quality: str, seed: int, elevation: str
+) -> dict[str, Any]:
+    """Return where the networks run and what they paint, as arguments of `batch.checked_options`."""
+    painted = {"look": look, "quality": quality, "seed": seed, "elevation": elevation}
+    return {"device": device, "engine": engine, **painted}
 
 
 def collect_outputs(save: str, image_format: str, projection: str, ply: bool, annotations: str) -> dict[str, Any]:

@@ -28,6 +28,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     look: opt.LookOption = "",
     quality: opt.QualityOption = "fast",
     seed: opt.SeedOption = 0,
+    elevation: opt.ElevationOption = "",
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
     most_megabytes: Annotated[
@@ -49,7 +50,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
 
     listening = _socket(host, port)
     options = checked_options(
-        weights, **opt.collect_choices(device, engine, look, quality, seed), out=Path(), save=("rgb",)
+        weights, **opt.collect_choices(device, engine, look, quality, seed, elevation), out=Path(), save=("rgb",)
     )
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()

@@ -48,6 +48,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     look: opt.LookOption = "",
     quality: opt.QualityOption = "fast",
     seed: opt.SeedOption = 0,
+    elevation: opt.ElevationOption = "",
     topic: opt.TopicOption = "",
     every: opt.EveryOption = 1,
     start_s: opt.FromOption = None,
@@ -74,7 +75,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     places = opt.parse_places(viewpoint, heading, follow, reading)
     options = batch.checked_options(
         weights,
-        **opt.collect_choices(device, engine, look, quality, seed),
+        **opt.collect_choices(device, engine, look, quality, seed, elevation),
         sensor=sensor,
         out=opt.check_folder(out, "--out"),
         calibration=opt.parse_camera(calib, image_size),

@@ -30,6 +30,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     look: opt.LookOption = "",
     quality: opt.QualityOption = "fast",
     seed: opt.SeedOption = 0,
+    elevation: opt.ElevationOption = "",
     steady: opt.SteadyOption = False,
     topic: opt.TopicOption = "",
     every: opt.EveryOption = 1,
@@ -60,7 +61,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
         options = checked_options(
             weights,
-            **opt.collect_choices(device, engine, look, quality, seed),
+            **opt.collect_choices(device, engine, look, quality, seed, elevation),
             out=out.parent,
             save=(),
             calibration=opt.parse_camera(calib, ""),

@@ -17,7 +17,7 @@ from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Pipeline
-from lidar2pano.pipeline.stages import TINY
+from lidar2pano.pipeline.belief import TINY
 from lidar2pano.scan import Scan
 from lidar2pano.scene.record import Scene
 

@@ -231,6 +231,20 @@ def fitted_view(scan: Scan, view: View, tallest: View | None) -> View:
     return replace(view, rows=rows, up=view.up + steps_up * step_deg, down=view.down - steps_down * step_deg)
 
 
+def measured_elevation(scan: Scan) -> tuple[float, float] | None:
+    """Return the lowest and the highest elevation of a scan's points, degrees; None without points to go by.
+
+    A share of BEYOND at either end does not count.
+    """
+    with np.errstate(invalid="ignore"):
+        slope = scan.xyz[:, 2] / np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])
+    slope = slope[np.isfinite(slope)]
+    if not len(slope):
+        return None
+    low, high = np.degrees(np.arctan(np.quantile(slope, (BEYOND, 1 - BEYOND))))
+    return float(low), float(high)
+
+
 def _steps_beyond(slope: np.ndarray, border_deg: float, most_deg: float, step_deg: float) -> int:
     """How many times `step_deg` the elevations of slopes (N,) go beyond a border, `most_deg` at most."""
     beyond = slope[slope > math.tan(math.radians(border_deg + BORDER_DEG))]

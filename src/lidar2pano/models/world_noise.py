@@ -10,6 +10,7 @@ from torch import Tensor
 from lidar2pano.labels import COMMON15
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import world_columns
+from lidar2pano.views import PANORAMA
 
 SKY = COMMON15.id_of("sky")
 SKY_OCTAVE = 1 << 10  # the sky's noise hangs on directions: it has an octave of its own
@@ -37,7 +38,8 @@ def world_noise(scene: Scene, channels: int, fold: int, seed: int = 0) -> Tensor
     octave = (radius_m.clamp(min=1e-3) * fold / view.focal_px).log2().floor()
     cells = [(part / octave.exp2()).floor() for part in (x, y, z_m + view.origin[2] + pose_z)]
     azimuth = torch.atan2(direction[1], direction[0]) * view.focal_px / fold
-    rows = torch.arange(len(radius_m), device=device, dtype=torch.float64)[:, None].expand_as(radius_m)
+    first = round((PANORAMA.up - view.up) * view.rows / (view.up - view.down) / fold)  # row: numbers are elevations
+    rows = torch.arange(first, first + len(radius_m), device=device, dtype=torch.float64)[:, None].expand_as(radius_m)
     sky = scene.ids[middle][0] == SKY
     celestial = (azimuth.round().expand_as(rows), rows, torch.zeros_like(rows), torch.full_like(rows, SKY_OCTAVE))
     numbers = [

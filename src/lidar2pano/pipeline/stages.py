@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -15,8 +16,14 @@ from torch import Tensor, nn
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.projection import RangeImage, nearest_ranges, one_hot_layers, project
-from lidar2pano.geometry.rasters import likeliest, upsample_azimuth, upsample_classes
+from lidar2pano.geometry.projection import (
+    RangeImage,
+    measured_elevation,
+    nearest_ranges,
+    one_hot_layers,
+    project,
+)
+from lidar2pano.geometry.rasters import likeliest
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -26,9 +33,10 @@ from lidar2pano.models.families import BEST, weight_files
 from lidar2pano.models.hub import Upload, hub_folder, push_family, write_family
 from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.stream_painter import StreamPainter, check_quality
-from lidar2pano.models.titan_pano import FrontAllAround
+from lidar2pano.models.titan_pano import STRIDE, FrontAllAround, with_rows
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.assembly import load_parts
+from lidar2pano.pipeline.belief import believed
 from lidar2pano.pipeline.composition import compose, photographed, sound_cameras
 from lidar2pano.pipeline.segmenter import Segmenter
 from lidar2pano.recordings.recorded_scans import read
@@ -36,10 +44,10 @@ from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.scene.depth import denser, measured_depth
 from lidar2pano.scene.record import ScanPoints, Scene
 from lidar2pano.scene.surfaces import viewpoint_height
-from lidar2pano.views import View, columns_between, sensor_view
+from lidar2pano.views import View, elevation_range, sensor_view
 
-TINY = 1e-20  # least probability whose logarithm is taken
-ROAD, SKY, CONDITIONS = COMMON15.id_of("road"), COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
+MARGIN_DEG, MOST_DEG = 10.0, (-35.0, 45.0)  # what "auto" adds to a sensor's elevations, and how far it goes
+ROAD, CONDITIONS = COMMON15.id_of("road"), len(SEMANTIC_KITTI)
 
 
 class Measurement(NamedTuple):
@@ -65,6 +73,7 @@ class Pipeline:
     translator  (channels (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
     painter     (its past, Scene, look) -> (its past, (1, 3, 2H, 2W)).
     view        the scene's raster, H x W, around the optical centre of the camera that the panorama stands for.
+    fits        whether rows are added to it as far as a stream's first scan asks for (`reaching`).
     cards       of the weight files, by role.
     look        one of the painter's looks: "A", "A+B" for the mean of two, "" for its own.
     engine      the engine that computes the networks: of ENGINES, but not "auto".
@@ -77,6 +86,7 @@ class Pipeline:
     view: View
     device: torch.device
     cards: Mapping[str, Card] = field(default_factory=dict)
+    fits: bool = False
     look: str = ""
     engine: str = "torch"
     files: Mapping[str, Path] = field(default_factory=dict)
@@ -146,6 +156,31 @@ class Pipeline:
         """Return the pipeline with the segmenter's view that fits a sensor of VIEWS; InputError where there is none."""
         return replace(self, segmenter=self.segmenter.at(sensor_view(name)))
 
+    def reaching(self, elevation: str | tuple[float, float]) -> Pipeline:
+        """Return the pipeline of panoramas from LOW to HIGH degrees, or, "auto", of what each sensor sees and more.
+
+        Rows are added or left out, STRIDE at a time; all others are as before. "auto" adds MARGIN_DEG to the elevations
+        of a scan, of a stream's first one, up to MOST_DEG, and leaves nothing out.
+        Raises InputError for another elevation, and where the weights have a fixed view.
+        """
+        ends = elevation_range(elevation)
+        return replace(self, fits=True) if ends is None else replace(self, view=self._with_rows(*ends), fits=False)
+
+    def _with_rows(self, low: float, high: float) -> View:
+        up, down = (math.tan(math.radians(degrees)) for degrees in (high, low))
+        return self.view.between(up, down, STRIDE)
+
+    def _fitting(self, scan: Scan, memory: Memory) -> Pipeline:
+        """Return the pipeline with the rows that a scan of a stream asks for."""
+        if not self.fits:
+            return self
+        if (view := memory.view) is None:
+            low, high = measured_elevation(scan.beyond()) or (0.0, 0.0)
+            least, most = (math.degrees(math.atan(end)) for end in (self.view.down, self.view.up))
+            low, high = max(low - MARGIN_DEG, MOST_DEG[0]), min(high + MARGIN_DEG, MOST_DEG[1])
+            view = self._with_rows(min(low, least), max(high, most))
+        return replace(self, view=replace(view, origin=self.view.origin))
+
     def in_look(self, look: str) -> Pipeline:
         """Return the pipeline that paints a look, "A" or "A+B"; InputError where the painter lacks it."""
         if not isinstance(self.painter, LatentPainter):
@@ -207,14 +242,15 @@ class Pipeline:
         pose  as of `remember`;  labels: as of `measure`;  cameras: as of a call.
         """
         timer = timer or Timer(self.device)
-        measurement = self.measure(scan, timer, labels)
-        scene = self.predict(measurement, timer)
-        memory, scene = self.remember(memory, scene, pose, timer)
+        own = self._fitting(scan, memory)
+        measurement = own.measure(scan, timer, labels)
+        scene = own.predict(measurement, timer)
+        memory, scene = own.remember(memory, scene, pose, timer)
         kept, doubts = cameras, ()
         if cameras:
             with timer("cameras"):
                 kept, doubts = sound_cameras(cameras, scan, edges=memory.frames == 0)
-        memory, panorama = self.paint(memory, scene, timer, kept)
+        memory, panorama = own.paint(memory, scene, timer, kept)
         return memory, replace(panorama, doubts=doubts)
 
     def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> Scene:
@@ -308,7 +344,8 @@ class Pipeline:
         if real:
             with timer("cameras"):
                 panorama = compose(panorama, real)
-        return replace(memory, frames=memory.frames + 1, painted=painted), panorama
+        decided = self.view if self.fits else None
+        return replace(memory, frames=memory.frames + 1, view=decided, painted=painted), panorama
 
     def _densified(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
         """Return the scan and its image with points between the beams; and the scan's point of each."""
@@ -320,7 +357,8 @@ class Pipeline:
 
     def _translated(self, measurement: Measurement) -> tuple[Tensor, Tensor]:
         """Return the translator's probabilities (1, 16, H, W) and depths (1, H, W), float32."""
-        channels = measurement.translator_channels.contiguous(memory_format=torch.channels_last)
+        channels = with_rows(measurement.translator_channels, self.view)
+        channels = channels.contiguous(memory_format=torch.channels_last)
         with fast_arithmetic(self.device):
             logits, depth_m = self.translator(channels, measurement.condition)
         return logits.float().contiguous().softmax(1), depth_m.float()
@@ -350,6 +388,12 @@ class PaperPipeline(Pipeline):
     def of(cls, pipeline: Pipeline, input_view: View) -> Self:
         """Return a pipeline's parts as the paper's."""
         return cls(**{part.name: getattr(pipeline, part.name) for part in fields(Pipeline)}, input_view=input_view)
+
+    def reaching(self, elevation: str | tuple[float, float]) -> Pipeline:
+        """Refuse another elevation (InputError): the networks predict a camera's rows."""
+        raise InputError(
+            f"elevation {elevation!r}: these weights paint the rows of one camera; name others, or leave it"
+        )
 
     @torch.inference_mode()
     def predict(self, measurement: Measurement, timer: Timer) -> Scene:
@@ -408,38 +452,3 @@ def assemble(  # noqa: PLR0913 parts of a pipeline
     if not isinstance(translator, FrontAllAround):
         return pipeline
     return PaperPipeline.of(pipeline, translator.input_view)
-
-
-def believed(scene: Scene, frame: int) -> Panorama:
-    """Return the panorama of a scene, black before it is painted.
-
-    Classes, depth and confidence are the scene's, enlarged; a pixel with a point has its distance. The sky has no other
-    depth, and outside the sensor's field of view nothing is claimed.
-    """
-    points, view = scene.points, scene.view.scaled(2)
-    assert points is not None, "scenes of scans have them"
-    segments = upsample_classes(scene.probabilities, 2, least=TINY)
-    measured = points.returns_m > 0
-    depth_m = upsample_azimuth(scene.depth_m[None], 2)[0, 0].masked_fill_(segments == SKY, 0)
-    depth_m = torch.where(measured, points.returns_m, depth_m)
-    confidence = upsample_azimuth(scene.probabilities.amax(1, keepdim=True), 2)[0, 0]
-    for left, right in points.gaps_deg:
-        columns = columns_between(view, left, right)
-        for layer in (segments, depth_m, confidence, measured):
-            layer[:, columns] = 0
-    layers = (segments, depth_m, confidence, measured, points.labels)
-    segments, depth_m, confidence, measured, labels = (part.contiguous().cpu().numpy() for part in layers)
-    return Panorama(
-        name=points.name,
-        frame=frame,
-        view=view,
-        colour=np.zeros((view.rows, view.columns, 3), np.uint8),
-        segments=segments,
-        depth_m=depth_m,
-        confidence=confidence,
-        measured=measured,
-        labels=labels,
-        dropped=points.dropped,
-        beyond_rows=points.beyond_rows,
-        points_between=points.points_between,
-    )
