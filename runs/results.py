@@ -88,8 +88,6 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   therefore measured by the run of its last stage that was not shown the place, and the painter of `world`, whose
   pictures of it are not scored.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
-- **Not measured again** since the hand-made rules between translator and painter went: classes and depths in the towns,
-  and fewer beams. Colours are those of the latent painters, times of `streets`.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures; 1 is as far as real images
   are from each other. Its features are EfficientNet-Lite2's (the painters were trained against its smaller sister

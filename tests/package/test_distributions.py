@@ -80,10 +80,18 @@ SIMULATED = {
     "centre-scans",
     "day",
     "evening",
+    "hdl32e-scans",
+    "hdl64e-scans",
     "lanes",
+    "os1-128-day",
+    "os1-128-scans",
+    "os1-64-scans",
     "overcast",
-    "pandar64-avenues",
+    "pandar64-centre",
+    "pandar64-centre-scans",
     "pandar64-day",
+    "pandar64-scans",
+    "vlp16-scans",
 }
 
 
