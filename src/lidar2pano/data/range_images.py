@@ -14,8 +14,8 @@ from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.formats.interpretation import STAND_IN
-from lidar2pano.geometry.projection import Normalisation, directions, fitted_view, project
-from lidar2pano.geometry.stitching import Camera, homogeneous, look
+from lidar2pano.geometry.projection import Normalisation, fitted_view, project
+from lidar2pano.geometry.stitching import Camera, homogeneous, look, points_in, surfaces_in
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, TABLES
 from lidar2pano.scan import (
     Scan,
@@ -142,16 +142,16 @@ def labelled_scan(frame: Frame) -> Scan:
     if frame.point_labels is not None or frame.camera_labels is None:
         return frame.labelled_scan()
     scan, ids, calibration = frame.require("scan", "camera_labels", "calibration")
-    xyz = torch.from_numpy(scan.xyz)
-    points = torch.cat([xyz.where(xyz.any(1, keepdim=True), torch.nan), torch.ones(len(xyz), 1)], 1).T
+    xyz, view = torch.from_numpy(scan.xyz), VIEWS["panorama"]
     camera = Camera(image=np.broadcast_to(ids[..., None], (*ids.shape, 3)), calibration=calibration)
-    view = VIEWS["panorama"]
-    surfaces = homogeneous(directions(view), complete_depth(xyz, view), view.origin).flatten(1)
+    points = points_in(camera, xyz.where(xyz.any(1, keepdim=True), torch.nan).T)  # the sensor's origin means: no echo
+    surfaces = surfaces_in(camera, view, homogeneous(complete_depth(xyz, view))).flatten(1)
     sight = look(camera, points, view.focal_px, hides, surfaces)
+    column, row = sight.place.long().numpy()
     classes = np.zeros(256, np.int64)
     classes[: len(CITYSCAPES)] = TABLES[CITYSCAPES.name, SEMANTIC_KITTI.name]
     label = np.zeros(len(scan), np.int64)
-    label[sight.surface.numpy()] = classes[sight.lookup.nearest(torch.from_numpy(ids)).numpy()]
+    label[sight.surface.numpy()] = classes[ids[row, column]]
     return replace(scan, label=label)
 
 
