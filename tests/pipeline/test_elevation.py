@@ -191,7 +191,6 @@ def test_the_papers_networks_have_the_rows_of_one_camera(front_weights, random_w
     assert "elevation 'auto': these weights paint the rows of one camera" in capsys.readouterr().err
 
 
-@pytest.mark.released
 @pytest.mark.parametrize("family", INSTALLED)
 def test_a_released_family_looks_up(family):
     pipeline = load(family, "cpu", "torch")
