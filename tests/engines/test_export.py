@@ -38,7 +38,7 @@ def small_raster(tmp_path_factory) -> Callable[[str], Path]:
         folder.mkdir()
         for role, file in weight_files(family).items():
             network, card = load_weights(file)
-            views = {name: VIEWS[name] for name in card.views}
+            views = {name: VIEWS[name] for name in card.views if name in VIEWS}  # no rows are added
             save(folder / f"{role}.safetensors", network, replace(card, views=views))
         return folder
 
