@@ -138,7 +138,7 @@ def labelled_data(here: Path) -> tuple[Path, list[str]]:
 
 
 def camera_data(here: Path) -> tuple[Path, list[str]]:
-    return miniature.write_data_set(here / "data"), ["options.rows=32", "options.columns=48"]
+    return miniature.write_data_set(here / "data"), ["options.rows=32", "options.columns=48", "training.batch=2"]
 
 
 def panorama_data(here: Path) -> tuple[Path, list[str]]:

@@ -19,6 +19,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.averages import EMA, averaged
+from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
 from lidar2pano.train.engine import clip, learning_rate, make_optimizer
 from lidar2pano.train.environment import Timer, choose_precision
@@ -158,6 +159,14 @@ def test_a_share_of_the_start_needs_a_start_and_an_average(start, ema):
     recipe = replace(recipe, networks={"translator": network}, training=replace(recipe.training, ema=ema))
     with pytest.raises(InputError, match="start_share is a share"):
         build_networks(recipe)
+
+
+@pytest.mark.parametrize(("batch", "accumulate"), [(1, 1), (4, 4)])
+def test_a_camera_segmenter_takes_two_images_at_a_time(tmp_path, batch, accumulate):
+    recipe = recipe_named("sdnet-mini")
+    training = replace(recipe.training, batch=batch, accumulate=accumulate)
+    with pytest.raises(InputError, match=r"training\.batch is one image at a time"):
+        CameraSegmentation(replace(recipe, training=training), tmp_path)
 
 
 def test_a_timer_counts_from_the_end_of_the_last_time():

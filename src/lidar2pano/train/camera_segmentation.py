@@ -14,6 +14,7 @@ from torch import Tensor
 
 from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames_of
+from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
@@ -162,6 +163,11 @@ class CameraSegmentation:
     released = ("camera",)
 
     def __init__(self, recipe: Recipe[CameraSegmentationOptions], root: Path) -> None:
+        if recipe.training.batch <= recipe.training.accumulate:
+            raise InputError(
+                "training.batch is one image at a time, of whose mean no norm can be taken; set it to twice"
+                " training.accumulate or more"
+            )
         self.options = options = recipe.options
         augmentation = ImageAugmentation(
             crop=(options.rows, options.columns),
