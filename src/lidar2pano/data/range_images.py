@@ -111,7 +111,8 @@ class RangeImageDataset:
         """Return (K,) int64: points of each class of SEMANTIC_KITTI, in up to 500 evenly spaced frames."""
         counts = np.zeros(len(SEMANTIC_KITTI))
         for index in evenly_spaced(len(self)):
-            label = labelled_scan(self.frames[index]).label
+            label = self.frames[index].point_labels  # the scan itself is read where a camera's classes stand for them
+            label = self.scan(index).label if label is None else label
             assert label is not None
             counts += np.bincount(label, minlength=len(counts))
         return counts
