@@ -222,8 +222,7 @@ def fitted_view(scan: Scan, view: View, tallest: View | None) -> View:
     """
     if tallest is None:
         return view
-    with np.errstate(invalid="ignore"):
-        slope = scan.xyz[:, 2] / np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])
+    slope = _slopes(scan)
     step_deg = (view.up - view.down) / view.rows * ROWS_ADDED
     steps_up = _steps_beyond(slope, view.up, tallest.up - view.up, step_deg)
     steps_down = _steps_beyond(-slope, -view.down, view.down - tallest.down, step_deg)
@@ -236,13 +235,18 @@ def measured_elevation(scan: Scan) -> tuple[float, float] | None:
 
     A share of BEYOND at either end does not count.
     """
-    with np.errstate(invalid="ignore"):
-        slope = scan.xyz[:, 2] / np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])
+    slope = _slopes(scan)
     slope = slope[np.isfinite(slope)]
     if not len(slope):
         return None
     low, high = np.degrees(np.arctan(np.quantile(slope, (BEYOND, 1 - BEYOND))))
     return float(low), float(high)
+
+
+def _slopes(scan: Scan) -> np.ndarray:
+    """Return the tangents (N,) of the elevations of a scan's points; NaN at the sensor's own place."""
+    with np.errstate(invalid="ignore"):
+        return scan.xyz[:, 2] / np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])
 
 
 def _steps_beyond(slope: np.ndarray, border_deg: float, most_deg: float, step_deg: float) -> int:
