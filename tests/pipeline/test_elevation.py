@@ -11,7 +11,6 @@ import torch
 from torch import nn
 
 from installed_families import INSTALLED
-from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import image_size
@@ -23,14 +22,9 @@ from lidar2pano.pipeline import load
 from lidar2pano.scan import Scan
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
-from random_weights import TRANSLATOR_VIEW, street, write_scan, write_weights
+from random_weights import CAMERA, TRANSLATOR_VIEW, street, write_scan, write_weights
 
 PITCH = 0.5236 / 48  # tangent, of a row of the small translator's
-CAMERA = Calibration(
-    K=np.array([[60.0, 0, 40], [0, 60, 12], [0, 0, 1]]),
-    T_camera_lidar=np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]),
-    size=(80, 25),
-)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from PIL import Image
 from torch import nn
 
 from installed_families import install_only
-from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -34,14 +33,9 @@ from lidar2pano.pipeline import PaperPipeline, Segmenter, load
 from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import measured_depth
 from lidar2pano.views import VIEWS, View
-from random_weights import LICENCE, PAINTER, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
+from random_weights import CAMERA, LICENCE, PAINTER, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
 
 SKY = COMMON15.id_of("sky")
-CAMERA = Calibration(
-    K=np.array([[60.0, 0, 40], [0, 60, 12], [0, 0, 1]]),
-    T_camera_lidar=np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]),
-    size=(80, 25),
-)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 from torch import nn
 
+from lidar2pano.calibration import Calibration
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI
@@ -23,6 +24,11 @@ from lidar2pano.views import VIEWS
 
 SEGMENTER_VIEW = replace(VIEWS["hdl64e"], rows=32, columns=256)
 TRANSLATOR_VIEW = VIEWS["panorama"].scaled(1 / 8)  # 48 x 576
+CAMERA = Calibration(
+    K=np.array([[60.0, 0, 40], [0, 60, 12], [0, 0, 1]]),
+    T_camera_lidar=np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]),
+    size=(80, 25),
+)
 FRONT_VIEW = replace(VIEWS["titan-front"], rows=32, columns=64)
 LICENCE = "CC-BY-NC-SA-4.0"
 PAINTER: dict[str, Any] = {  # settings that make a latent painter small
