@@ -13,7 +13,7 @@ Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `in
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -29,6 +29,7 @@ SHA256 = "6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9129b2"
 FILE_NAMES = ("pt_inception-2015-12-05-6726825d.pth", "weights-inception-2015-12-05-6726825d.pth")  # the same bytes
 ADDRESS = f"https://github.com/mseitzer/pytorch-fid/releases/download/fid_weights/{FILE_NAMES[0]}"
 ABSENT = f"FID needs the weights of Inception-v3, which are not downloaded: fetch {ADDRESS}"
+Branch = Sequence[tuple[str, int, tuple[int, int]]]  # see Mixed
 
 
 def find_inception(path: Path | str | None = None) -> Path | None:
@@ -77,17 +78,11 @@ class Inception(nn.Module):
         self.Conv2d_2b_3x3 = ConvNormAct(32, 64, 3, padding=1)
         self.Conv2d_3b_1x1 = ConvNormAct(64, 80, 1)
         self.Conv2d_4a_3x3 = ConvNormAct(80, 192, 3)
-        self.Mixed_5b = InceptionA(192, 32)
-        self.Mixed_5c = InceptionA(256, 64)
-        self.Mixed_5d = InceptionA(288, 64)
-        self.Mixed_6a = InceptionB(288)
-        self.Mixed_6b = InceptionC(768, 128)
-        self.Mixed_6c = InceptionC(768, 160)
-        self.Mixed_6d = InceptionC(768, 160)
-        self.Mixed_6e = InceptionC(768, 192)
-        self.Mixed_7a = InceptionD(768)
-        self.Mixed_7b = InceptionE(1280, max_pool=False)
-        self.Mixed_7c = InceptionE(2048, max_pool=True)
+        self.Mixed_5b, self.Mixed_5c, self.Mixed_5d = at_35(192, 32), at_35(256, 64), at_35(288, 64)
+        self.Mixed_6a = to_17(288)
+        self.Mixed_6b, self.Mixed_6c, self.Mixed_6d, self.Mixed_6e = map(at_17, (128, 160, 160, 192))
+        self.Mixed_7a = to_8()
+        self.Mixed_7b, self.Mixed_7c = at_8(1280, _average_pooled), at_8(2048, _max_pooled)
         self.fc = nn.Linear(FEATURES, CLASSES)
 
     def load_published(self, state: Mapping[str, Tensor], source: str) -> None:
@@ -131,7 +126,6 @@ class ConvNormAct(nn.Module):
         inputs: int,
         outputs: int,
         kernel: int | tuple[int, int],
-        *,
         stride: int = 1,
         padding: int | tuple[int, int] = 0,
     ) -> None:
@@ -144,118 +138,87 @@ class ConvNormAct(nn.Module):
         return self.bn(self.conv(x)).relu()
 
 
-def _horizontal(inputs: int, outputs: int) -> ConvNormAct:
-    return ConvNormAct(inputs, outputs, (1, 7), padding=(0, 3))
-
-
-def _vertical(inputs: int, outputs: int) -> ConvNormAct:
-    return ConvNormAct(inputs, outputs, (7, 1), padding=(3, 0))
-
-
 def _average_pooled(x: Tensor) -> Tensor:
     return avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False)
 
 
-class InceptionA(nn.Module):
-    """The blocks at 35 x 35 (figure 5 of the paper): (B, inputs, H, W) -> (B, 224 + pooled, H, W)."""
+def _strided_pooled(x: Tensor) -> Tensor:
+    return max_pool2d(x, 3, 2)
 
-    def __init__(self, inputs: int, pooled: int) -> None:
+
+def _max_pooled(x: Tensor) -> Tensor:
+    return max_pool2d(x, 3, stride=1, padding=1)
+
+
+class Mixed(nn.Module):
+    """Branches side by side: (B, inputs, H, W) -> (B, sum of the branches' outputs, H', W').
+
+    branches  of each its layers (published name, outputs, kernel), one after another; the last one's name may be two,
+              layers beside each other.
+    pool      of the branch that begins with it;  pooled: outputs of that branch's convolution, 0 for none.
+    strided   whether the raster is halved, by the last layer of each branch.
+    """
+
+    def __init__(
+        self, inputs: int, branches: Sequence[Branch], pool: Callable[[Tensor], Tensor], pooled: int, strided: bool
+    ) -> None:
         super().__init__()
-        self.branch1x1 = ConvNormAct(inputs, 64, 1)
-        self.branch5x5_1 = ConvNormAct(inputs, 48, 1)
-        self.branch5x5_2 = ConvNormAct(48, 64, 5, padding=2)
-        self.branch3x3dbl_1 = ConvNormAct(inputs, 64, 1)
-        self.branch3x3dbl_2 = ConvNormAct(64, 96, 3, padding=1)
-        self.branch3x3dbl_3 = ConvNormAct(96, 96, 3, padding=1)
-        self.branch_pool = ConvNormAct(inputs, pooled, 1)
+        self.names, self.pool = [[name.split() for name, _, _ in branch] for branch in branches], pool
+        for branch in branches:
+            wide = inputs
+            for place, (names, outputs, kernel) in enumerate(branch, 1):
+                for name, size in zip(names.split(), (kernel, (kernel[1], kernel[0])), strict=False):
+                    padding = (0, 0) if strided and place == len(branch) else (size[0] // 2, size[1] // 2)
+                    stride = 2 if strided and place == len(branch) else 1
+                    self.add_module(name, ConvNormAct(wide, outputs, size, stride=stride, padding=padding))
+                wide = outputs
+        self.branch_pool = ConvNormAct(inputs, pooled, 1) if pooled else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        """Four branches side by side."""
-        five = self.branch5x5_2(self.branch5x5_1(x))
-        three = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
-        return torch.cat([self.branch1x1(x), five, three, self.branch_pool(_average_pooled(x))], 1)
+        """(B, inputs, H, W) -> (B, outputs, H', W')."""
+        ends: list[Tensor] = []
+        for branch in self.names:
+            inner = [x]
+            for names in branch:
+                inner = [self.get_submodule(name)(inner[0]) for name in names]
+            ends += inner
+        return torch.cat([*ends, self.branch_pool(self.pool(x))], 1)
 
 
-class InceptionB(nn.Module):
-    """From 35 x 35 to 17 x 17 (figure 10): (B, inputs, H, W) -> (B, 480 + inputs, (H - 1) / 2, (W - 1) / 2)."""
-
-    def __init__(self, inputs: int) -> None:
-        super().__init__()
-        self.branch3x3 = ConvNormAct(inputs, 384, 3, stride=2)
-        self.branch3x3dbl_1 = ConvNormAct(inputs, 64, 1)
-        self.branch3x3dbl_2 = ConvNormAct(64, 96, 3, padding=1)
-        self.branch3x3dbl_3 = ConvNormAct(96, 96, 3, stride=2)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Three branches side by side."""
-        three = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
-        return torch.cat([self.branch3x3(x), three, max_pool2d(x, 3, 2)], 1)
+ONE, THREE, FIVE, ACROSS, DOWN = (1, 1), (3, 3), (5, 5), (1, 7), (7, 1)  # kernels: rows, columns
 
 
-class InceptionC(nn.Module):
-    """The blocks at 17 x 17 (figure 6), kernels of 7 as rows and columns: (B, inputs, H, W) -> (B, 768, H, W)."""
-
-    def __init__(self, inputs: int, inner: int) -> None:
-        super().__init__()
-        self.branch1x1 = ConvNormAct(inputs, 192, 1)
-        self.branch7x7_1 = ConvNormAct(inputs, inner, 1)
-        self.branch7x7_2 = _horizontal(inner, inner)
-        self.branch7x7_3 = _vertical(inner, 192)
-        self.branch7x7dbl_1 = ConvNormAct(inputs, inner, 1)
-        self.branch7x7dbl_2 = _vertical(inner, inner)
-        self.branch7x7dbl_3 = _horizontal(inner, inner)
-        self.branch7x7dbl_4 = _vertical(inner, inner)
-        self.branch7x7dbl_5 = _horizontal(inner, 192)
-        self.branch_pool = ConvNormAct(inputs, 192, 1)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Four branches side by side."""
-        seven = self.branch7x7_3(self.branch7x7_2(self.branch7x7_1(x)))
-        twice = self.branch7x7dbl_3(self.branch7x7dbl_2(self.branch7x7dbl_1(x)))
-        twice = self.branch7x7dbl_5(self.branch7x7dbl_4(twice))
-        return torch.cat([self.branch1x1(x), seven, twice, self.branch_pool(_average_pooled(x))], 1)
+def at_35(inputs: int, pooled: int) -> Mixed:
+    """Return a block at 35 x 35 (figure 5 of the paper), of 224 + pooled outputs."""
+    double = [("branch3x3dbl_1", 64, ONE), ("branch3x3dbl_2", 96, THREE), ("branch3x3dbl_3", 96, THREE)]
+    five = [("branch5x5_1", 48, ONE), ("branch5x5_2", 64, FIVE)]
+    return Mixed(inputs, [[("branch1x1", 64, ONE)], five, double], _average_pooled, pooled, strided=False)
 
 
-class InceptionD(nn.Module):
-    """From 17 x 17 to 8 x 8: (B, inputs, H, W) -> (B, 512 + inputs, (H - 1) / 2, (W - 1) / 2)."""
-
-    def __init__(self, inputs: int) -> None:
-        super().__init__()
-        self.branch3x3_1 = ConvNormAct(inputs, 192, 1)
-        self.branch3x3_2 = ConvNormAct(192, 320, 3, stride=2)
-        self.branch7x7x3_1 = ConvNormAct(inputs, 192, 1)
-        self.branch7x7x3_2 = _horizontal(192, 192)
-        self.branch7x7x3_3 = _vertical(192, 192)
-        self.branch7x7x3_4 = ConvNormAct(192, 192, 3, stride=2)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Three branches side by side."""
-        seven = self.branch7x7x3_3(self.branch7x7x3_2(self.branch7x7x3_1(x)))
-        three = self.branch3x3_2(self.branch3x3_1(x))
-        return torch.cat([three, self.branch7x7x3_4(seven), max_pool2d(x, 3, 2)], 1)
+def to_17(inputs: int) -> Mixed:
+    """Return the block from 35 x 35 to 17 x 17 (figure 10), of 480 + inputs outputs."""
+    double = [("branch3x3dbl_1", 64, ONE), ("branch3x3dbl_2", 96, THREE), ("branch3x3dbl_3", 96, THREE)]
+    return Mixed(inputs, [[("branch3x3", 384, THREE)], double], _strided_pooled, 0, strided=True)
 
 
-class InceptionE(nn.Module):
-    """The blocks at 8 x 8 (figure 7), two branches, each ends in two: (B, inputs, H, W) -> (B, 2048, H, W)."""
+def at_17(inner: int) -> Mixed:
+    """Return a block at 17 x 17 (figure 6), kernels of 7 as rows and columns, of 768 outputs."""
+    seven = [("branch7x7_1", inner, ONE), ("branch7x7_2", inner, ACROSS), ("branch7x7_3", 192, DOWN)]
+    double = [("branch7x7dbl_1", inner, ONE), ("branch7x7dbl_2", inner, DOWN), ("branch7x7dbl_3", inner, ACROSS)]
+    double += [("branch7x7dbl_4", inner, DOWN), ("branch7x7dbl_5", 192, ACROSS)]
+    return Mixed(768, [[("branch1x1", 192, ONE)], seven, double], _average_pooled, 192, strided=False)
 
-    def __init__(self, inputs: int, *, max_pool: bool) -> None:
-        super().__init__()
-        self.max_pool = max_pool
-        self.branch1x1 = ConvNormAct(inputs, 320, 1)
-        self.branch3x3_1 = ConvNormAct(inputs, 384, 1)
-        self.branch3x3_2a = ConvNormAct(384, 384, (1, 3), padding=(0, 1))
-        self.branch3x3_2b = ConvNormAct(384, 384, (3, 1), padding=(1, 0))
-        self.branch3x3dbl_1 = ConvNormAct(inputs, 448, 1)
-        self.branch3x3dbl_2 = ConvNormAct(448, 384, 3, padding=1)
-        self.branch3x3dbl_3a = ConvNormAct(384, 384, (1, 3), padding=(0, 1))
-        self.branch3x3dbl_3b = ConvNormAct(384, 384, (3, 1), padding=(1, 0))
-        self.branch_pool = ConvNormAct(inputs, 192, 1)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Six branches side by side."""
-        three = self.branch3x3_1(x)
-        twice = self.branch3x3dbl_2(self.branch3x3dbl_1(x))
-        pooled = max_pool2d(x, 3, stride=1, padding=1) if self.max_pool else _average_pooled(x)
-        branches = [self.branch1x1(x), self.branch3x3_2a(three), self.branch3x3_2b(three)]
-        branches += [self.branch3x3dbl_3a(twice), self.branch3x3dbl_3b(twice), self.branch_pool(pooled)]
-        return torch.cat(branches, 1)
+def to_8() -> Mixed:
+    """Return the block from 17 x 17 to 8 x 8, of 1280 outputs."""
+    three = [("branch3x3_1", 192, ONE), ("branch3x3_2", 320, THREE)]
+    seven = [("branch7x7x3_1", 192, ONE), ("branch7x7x3_2", 192, ACROSS), ("branch7x7x3_3", 192, DOWN)]
+    return Mixed(768, [three, [*seven, ("branch7x7x3_4", 192, THREE)]], _strided_pooled, 0, strided=True)
+
+
+def at_8(inputs: int, pool: Callable[[Tensor], Tensor]) -> Mixed:
+    """Return a block at 8 x 8 (figure 7), two of whose branches end in two, of 2048 outputs."""
+    three = [("branch3x3_1", 384, ONE), ("branch3x3_2a branch3x3_2b", 384, (1, 3))]
+    double = [("branch3x3dbl_1", 448, ONE), ("branch3x3dbl_2", 384, THREE)]
+    double.append(("branch3x3dbl_3a branch3x3dbl_3b", 384, (1, 3)))
+    return Mixed(inputs, [[("branch1x1", 320, ONE)], three, double], pool, 192, strided=False)
