@@ -169,12 +169,7 @@ def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugm
     if generator.random() < augmentation.chance:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
     if augmentation.no_remission and generator.random() < augmentation.no_remission:
-        return drop_remission(scan)
+        return replace(scan, remission=np.full_like(scan.remission, STAND_IN))
     if augmentation.sensors and generator.random() < 0.5:
         return change_sensor_remission(scan, generator, augmentation.sensors)
     return vary_remission(scan, generator, augmentation.remission) if augmentation.remission else scan
-
-
-def drop_remission(scan: Scan) -> Scan:
-    """Return a scan of a sensor without remission: all points have the stand-in value."""
-    return replace(scan, remission=np.full_like(scan.remission, STAND_IN))

@@ -69,7 +69,7 @@ def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
     """
     if isinstance(source, PointCloud):
         return source
-    if is_point_cloud2(source):
+    if all(hasattr(source, name) for name in ("fields", "point_step", "width", "height", "data")):
         return cloud_of_message(source, name)
     tensors = getattr(source, "point", None)  # open3d.t.geometry.PointCloud
     if tensors is not None and "positions" in tensors:
@@ -86,11 +86,6 @@ def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
     if array.dtype.kind not in "fiuV":
         raise InputError(f"{name}: a {type(source).__name__} is no cloud; give an array (N, 3) or a path")
     return cloud_of_arrays({"": array}, format="array", name=name, source=name)
-
-
-def is_point_cloud2(message: object) -> bool:
-    """Return whether an object has the attributes of a PointCloud2."""
-    return all(hasattr(message, name) for name in ("fields", "point_step", "width", "height", "data"))
 
 
 def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa: ANN401

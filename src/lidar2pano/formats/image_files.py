@@ -111,7 +111,7 @@ def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None, xmp: byt
         end = b"\3\0" + struct.pack(">I", _zlib().adler32(lines.data))  # an empty block, RFC 1951; a checksum, RFC 1950
         pixels = b"\x78\1" + b"".join(blocks) + end
     texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
-    texts += [_chunk(b"iTXt", png_chunk_data(xmp))] if xmp else []
+    texts += [_chunk(b"iTXt", PNG_KEYWORD + b"\0\0\0\0\0" + xmp)] if xmp else []
     parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))
     return b"".join(parts)
 
@@ -282,11 +282,6 @@ def gpano(view: View) -> bytes:
         "CroppedAreaTopPixels": round((90 - view.up) / step),
     }
     return PACKET.format(fields="\n".join(f'GPano:{name}="{value}"' for name, value in fields.items())).encode()
-
-
-def png_chunk_data(xmp: bytes) -> bytes:
-    """Return the data of the iTXt chunk with an XMP packet: not compressed, without language and translated keyword."""
-    return PNG_KEYWORD + b"\0\0\0\0\0" + xmp
 
 
 def jpeg_segment(xmp: bytes) -> bytes:

@@ -147,7 +147,7 @@ def equirectangular(view: View) -> View:
     It consists of whole pixels of a full sphere, twice as wide as high, straight ahead in its middle. A view across the
     direction straight behind becomes a full turn.
     """
-    full_columns = _full_columns(view)
+    full_columns = 2 * round(view.columns * FULL_TURN / (view.left - view.right) / 2)
     step = FULL_TURN / full_columns
     up, down = view.up, view.down
     if view.kind == "cylinder":
@@ -167,11 +167,6 @@ def equirectangular(view: View) -> View:
         left=FULL_TURN / 2 - left * step,
         right=FULL_TURN / 2 - max(right, left + 1) * step,
     )
-
-
-def _full_columns(view: View) -> int:
-    """Return the even number of columns in a full turn as fine as a view's."""
-    return 2 * round(view.columns * FULL_TURN / (view.left - view.right) / 2)
 
 
 def cube_faces(view: View) -> dict[str, Calibration]:

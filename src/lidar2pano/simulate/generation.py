@@ -105,10 +105,6 @@ class SequenceWriter:
                 names += [f"{folder}/{stem}.png" for folder in _panorama_folders(view, first=number == 0)]
         return [self.folder / name for name in names]
 
-    def is_complete(self, frame: int) -> bool:
-        """Return True where all files of a frame exist."""
-        return all(path.is_file() for path in self.files(frame))
-
     def prepare(self) -> None:
         """Write calib.txt, times.txt and poses.txt unless they exist.
 
@@ -280,7 +276,7 @@ def write_frames(part: FrameRange) -> int:
     writer = _writer(part.out, part.settings, part.sequence)
     writer.prepare()
     for frame in range(part.first, part.last):
-        if not writer.is_complete(frame):
+        if not all(path.is_file() for path in writer.files(frame)):
             writer.write(frame)
     return part.last - part.first
 
