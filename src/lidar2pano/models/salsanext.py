@@ -155,6 +155,15 @@ class UpBlock(nn.Module):
         return self.dropout3(self.bn4(self.act4(self.conv4(first, second, third))))
 
 
+def check_raster(x: Tensor) -> None:
+    """Raise InputError unless the rows and columns of (B, C, H, W) are multiples of STRIDE."""
+    if x.shape[-2] % STRIDE or x.shape[-1] % STRIDE:
+        raise InputError(
+            f"a range image of {x.shape[-2]} x {x.shape[-1]} pixels does not fit the network: "
+            f"choose a view whose rows and columns are multiples of {STRIDE}"
+        )
+
+
 class Trunk(nn.Module):
     """Encoder and decoder of SalsaNext and TITAN-Net: (B, channels, H, W) -> (B, widths[0], H, W).
 
@@ -189,11 +198,7 @@ class Trunk(nn.Module):
 
     def features(self, x: Tensor) -> Tensor:
         """(B, channels, H, W) -> (B, widths[0], H, W); H and W must be multiples of 16, otherwise InputError."""
-        if x.shape[-2] % STRIDE or x.shape[-1] % STRIDE:
-            raise InputError(
-                f"a range image of {x.shape[-2]} x {x.shape[-1]} pixels does not fit the network: "
-                f"choose a view whose rows and columns are multiples of {STRIDE}"
-            )
+        check_raster(x)
         x = self.downCntx3(self.downCntx2(self.downCntx(x)))
         x, skip1 = self.resBlock1(x)
         x, skip2 = self.resBlock2(x)
@@ -368,11 +373,7 @@ class TitanNext(nn.Module):
         Returns logits (B, classes, *size) and depth (B, *size), metres along the ray, float32.
         Raises InputError unless H and W are multiples of 16.
         """
-        if z.shape[-2] % STRIDE or z.shape[-1] % STRIDE:
-            raise InputError(
-                f"a range image of {z.shape[-2]} x {z.shape[-1]} pixels does not fit the network: "
-                f"choose a view whose rows and columns are multiples of {STRIDE}"
-            )
+        check_raster(z)
         merged = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
         x, skips = self.context(merged), []
         for block in self.down:

@@ -126,18 +126,17 @@ def entry(inputs: int, width: int, norm: Norm) -> list[nn.Module]:
 
 def halvings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
     """Layers to halve the image from each of `widths` to the next."""
-    layers: list[nn.Module] = []
-    for inputs, outputs in zip(widths, widths[1:], strict=False):
-        layers += [Halving(inputs, outputs), norm(outputs), nn.ReLU(inplace=True)]
-    return layers
+    return _resizing(Halving, widths, norm)
 
 
 def doublings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
     """Layers to double the image from each of `widths` to the next."""
-    layers: list[nn.Module] = []
-    for inputs, outputs in zip(widths, widths[1:], strict=False):
-        layers += [Doubling(inputs, outputs), norm(outputs), nn.ReLU(inplace=True)]
-    return layers
+    return _resizing(Doubling, widths, norm)
+
+
+def _resizing(layer: Callable[[int, int], nn.Module], widths: Sequence[int], norm: Norm) -> list[nn.Module]:
+    pairs = zip(widths, widths[1:], strict=False)
+    return [part for pair in pairs for part in (layer(*pair), norm(pair[1]), nn.ReLU(inplace=True))]
 
 
 def residuals(number: int, width: int, norm: Norm) -> list[nn.Module]:

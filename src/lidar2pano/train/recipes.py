@@ -7,63 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.train.recipe import Recipe
 
-# Names of recipes by their module; "-mini": minutes on two CPU cores.
-MODULES: dict[str, tuple[str, ...]] = {
-    "segmentation": (
-        "salsanext",
-        "salsanext-mini",
-        "salsanext-published",
-        "release-segmenter",
-        "release-segmenter-mini",
-        "fast-segmenter",
-        "fast-segmenter-mini",
-    ),
-    "panorama": (
-        "titan-pano",
-        "titan-pano-mini",
-        "release-translator",
-        "release-translator-mini",
-        "fast-translator",
-        "fast-translator-mini",
-    ),
-    "autoencoding": ("autoencoder", "autoencoder-mini"),
-    "latent_painting": ("latent-painter", "latent-painter-mini"),
-    "latent_texture": ("latent-texture", "latent-texture-mini"),
-    "front": (
-        "titan",
-        "titan-mini",
-        "titan-no-lovasz",
-        "titan-no-lovasz-mini",
-        "titan-no-range",
-        "titan-no-range-mini",
-        "titan-next",
-        "titan-next-mini",
-        "pix2pix-segments",
-        "pix2pix-segments-mini",
-    ),
-    "colour": (
-        "titan-no-segments",
-        "titan-no-segments-mini",
-        "pix2pix-rgb",
-        "pix2pix-rgb-mini",
-        "scunet",
-        "scunet-mini",
-    ),
-    "camera_segmentation": ("sdnet", "sdnet-mini"),
-    "video": ("vid2vid", "vid2vid-mini"),
+# Names of recipes by their module; of all but NO_MINI there is a form "-mini", minutes on two CPU cores.
+FULL: dict[str, tuple[str, ...]] = {
+    "segmentation": ("salsanext", "salsanext-published", "release-segmenter", "fast-segmenter"),
+    "panorama": ("titan-pano", "release-translator", "fast-translator"),
+    "autoencoding": ("autoencoder",),
+    "latent_painting": ("latent-painter",),
+    "latent_texture": ("latent-texture",),
+    "front": ("titan", "titan-no-lovasz", "titan-no-range", "titan-next", "pix2pix-segments"),
+    "colour": ("titan-no-segments", "pix2pix-rgb", "scunet"),
+    "camera_segmentation": ("sdnet",),
+    "video": ("vid2vid",),
 }
-
-
-def _maker(module: str, name: str) -> Callable[[], Recipe]:
-    def make() -> Recipe:
-        return makers(module)[name]()
-
-    return make
+NO_MINI = "salsanext-published"
+MODULES: dict[str, tuple[str, ...]] = {
+    module: tuple(form for name in names for form in (name, f"{name}-mini")[: 1 + (name != NO_MINI)])
+    for module, names in FULL.items()
+}
 
 
 def makers(module: str) -> dict[str, Callable[[], Recipe]]:
@@ -71,8 +37,12 @@ def makers(module: str) -> dict[str, Callable[[], Recipe]]:
     return import_module(f"lidar2pano.train.{module}").RECIPES
 
 
+def _make(module: str, name: str) -> Recipe:
+    return makers(module)[name]()
+
+
 RECIPES: dict[str, Callable[[], Recipe]] = {
-    name: _maker(module, name) for module, names in MODULES.items() for name in names
+    name: partial(_make, module, name) for module, names in MODULES.items() for name in names
 }
 
 

@@ -111,13 +111,6 @@ class PaintedFrame(NamedTuple):
     weight: Tensor
 
 
-class TemporalInput(NamedTuple):
-    """The input of a temporal discriminator: three images and the flows between them, (B, 13, H, W) each."""
-
-    real: Tensor
-    fake: Tensor
-
-
 class VideoLosses:
     """The losses of discriminators and painter, as published.
 
@@ -144,19 +137,20 @@ class VideoLosses:
             )
         return steps
 
-    def updates(self, frame: PaintedFrame, inputs: Mapping[int, TemporalInput]) -> Iterator[tuple[str, Tensor]]:
-        """The image discriminator, the temporal ones, the painter; `inputs` by the frames between their images."""
+    def updates(self, frame: PaintedFrame, inputs: Mapping[int, tuple[Tensor, Tensor]]) -> Iterator[tuple[str, Tensor]]:
+        """The image discriminator, the temporal ones, the painter.
+
+        inputs  real and painted images of each temporal one (`temporal_input`), by the frames between them.
+        """
         self.logs = {}
         true, *generated = (torch.cat([frame.labels, image], 1) for image in (frame.real, frame.fake, frame.raw))
         real = self.discriminated("critic", true)
         fakes = [self.discriminated("critic", fake.detach()) for fake in generated]
         yield "critic", _sum([least_squares_critic(real, fake) for fake in fakes])
-        for step, triple in inputs.items():
-            role = f"{TEMPORAL}{step}"
-            real, fake = self.discriminated(role, triple.real), self.discriminated(role, triple.fake.detach())
-            yield role, least_squares_critic(real, fake)
-        pairs = [("critic", true, fake) for fake in generated]
-        pairs += [(f"{TEMPORAL}{step}", triple.real, triple.fake) for step, triple in inputs.items()]
+        temporal = [(f"{TEMPORAL}{step}", *pair) for step, pair in inputs.items()]
+        for role, real, fake in temporal:
+            yield role, least_squares_critic(self.discriminated(role, real), self.discriminated(role, fake.detach()))
+        pairs = [*(("critic", true, fake) for fake in generated), *temporal]
         losses = self.reconstruction(frame)
         adversarial = [self.adversarial(*pair) for pair in pairs]
         losses["adversarial"] = _sum([loss for loss, _ in adversarial])
@@ -277,13 +271,13 @@ class VideoPainting:
             weight=weight,
         )
 
-    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> TemporalInput:
-        """The last painted image and two before it, `step` frames apart, and the same of the camera's."""
+    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> tuple[Tensor, Tensor]:
+        """The camera's last image and two before it, `step` frames apart, and the same of the painted ones."""
         now = PREVIOUS + len(painted) - 1
         flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
         real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
         fake = [painted[-1 - back * step] for back in (2, 1, 0)]
-        return TemporalInput(real=temporal_input(real, flows), fake=temporal_input(fake, flows))
+        return temporal_input(real, flows), temporal_input(fake, flows)
 
     def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """Reference flow of a frame to the frame `step` earlier."""
