@@ -1,8 +1,9 @@
-"""The exception for users' mistakes, and the nearest name for an unknown name."""
+"""The exception for users' mistakes, the nearest name for an unknown name, and modules that are not there."""
 
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 
@@ -22,6 +23,19 @@ def require_extra(extra: str, purpose: object) -> Generator[None]:
         yield
     except ImportError as error:
         raise InputError(f"{purpose} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error
+
+
+@contextmanager
+def hidden(module: str) -> Generator[None]:
+    """Let an import of the module fail inside, unless it is imported already."""
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[module]
 
 
 def closest(name: str, names: Iterable[str]) -> str:

@@ -15,7 +15,7 @@ from lidar2pano.cli.app import BROKEN, MISTAKE
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan, run
-from lidar2pano.reproduce.images import SAMPLES, WIDTH, sample_indices, scalars, write_curves, write_sheets
+from lidar2pano.reproduce.images import WIDTH, scalars, write_curves, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.results_page import results_page
 from lidar2pano.reproduce.run import budget, splits, training_data
@@ -221,13 +221,6 @@ def test_sheets_are_side_by_side_and_leave_out_missing_images(tmp_path):
     sheet = np.array(Image.open(paths[0]))
     assert sheet.shape[1] == 2 * WIDTH
     assert abs(int(sheet[-20, 40, 0]) - 10) < 4 and abs(int(sheet[-20, WIDTH + 40, 0]) - 200) < 4
-
-
-@pytest.mark.parametrize("frames", [0, 1, 2, 7])
-def test_images_are_kept_of_first_middle_and_last_frames(frames):
-    found = sample_indices(frames)
-    assert len(found) == min(frames, SAMPLES) and all(0 <= index < frames for index in found)
-    assert not frames or (found[0] == 0 and found[-1] == frames - 1)
 
 
 def test_curves_are_drawn_of_losses_alone(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -122,13 +122,17 @@ def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
     pairs: Path | None,
 ) -> None:
     """Score one split, write the requested files, and print a table."""
+    from lidar2pano.cli.options import write_json
     from lidar2pano.evaluate import report
     from lidar2pano.evaluate.pictures import Preferences
 
     preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
     evaluation = score_place(systems, place, config, worst, preferences)
     summary = report.as_dict(evaluation)
-    write_files(summary, as_json, as_csv)
+    if as_json:
+        write_json(as_json, summary, "--json")
+    if as_csv:
+        write_csv(as_csv, report.records(summary), "--csv")
     if worst:
         write_worst(evaluation, out)
     if preferences:
@@ -241,17 +245,6 @@ def check_outputs(as_json: Path | None, as_csv: Path | None, *folders: Path | No
     for folder, option in zip(folders, ("--out", "--pairs"), strict=False):
         if folder:
             check_folder(folder, option)
-
-
-def write_files(summary: dict[str, Any], as_json: Path | None, as_csv: Path | None) -> None:
-    """Write the requested files: JSON and CSV."""
-    from lidar2pano.cli.options import write_json
-    from lidar2pano.evaluate import report
-
-    if as_json:
-        write_json(as_json, summary, "--json")
-    if as_csv:
-        write_csv(as_csv, report.records(summary), "--csv")
 
 
 def write_worst(evaluation: Evaluation, out: Path) -> None:

@@ -10,7 +10,6 @@ import copy
 import io
 import json
 import logging
-import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from torch import Tensor, nn
 
 from lidar2pano.engines.compiled import Run
 from lidar2pano.engines.signatures import SIGNATURES, Shape
+from lidar2pano.errors import hidden
 from lidar2pano.hardware import has_bfloat16
 
 OPSET = 20  # of ONNX, 2023: bilinear Resize, AveragePool and all else the networks need, in every current runtime
@@ -224,12 +224,6 @@ def _settings() -> dict[str, Any]:
 @cache
 def openvino() -> Any:  # noqa: ANN401
     """Return the module `openvino`, kept from reporting its import over the network."""
-    hidden = TELEMETRY not in sys.modules
-    if hidden:
-        sys.modules[TELEMETRY] = None  # type: ignore[assignment] an import of it fails, and OpenVINO does without
-    try:
+    with hidden(TELEMETRY):  # OpenVINO does without
         import openvino as module
-    finally:
-        if hidden:
-            del sys.modules[TELEMETRY]
     return module

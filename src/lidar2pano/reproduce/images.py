@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, FrameList
+from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, FrameList, evenly_spaced
 from lidar2pano.evaluate import MetricConfig, Prediction, System
 from lidar2pano.evaluate.evaluation import system_input
 from lidar2pano.formats.image_files import read_image, write_png, write_whole
@@ -38,7 +38,7 @@ def write_images(
 
     painter  paints the panoramas of a system that predicts the camera's image alone.
     """
-    for number, index in enumerate(sample_indices(len(frames))):
+    for number, index in enumerate(evenly_spaced(len(frames), SAMPLES)):
         frame = frames[index]
         _, prediction = system.predict(system_input(frame, config))
         if painter is not None:
@@ -51,11 +51,6 @@ def write_images(
                 if image is not None:
                     path = subfolder / f"{number:02d}.{content}.png"
                     write_whole(path, lambda temporary, image=image: write_png(temporary, image))
-
-
-def sample_indices(frames: int) -> list[int]:
-    """Return the indices of the frames whose images are kept: SAMPLES, evenly over the split."""
-    return sorted({round(position) for position in np.linspace(0, frames - 1, SAMPLES)}) if frames else []
 
 
 def _predicted_images(prediction: Prediction) -> dict[str, np.ndarray | None]:

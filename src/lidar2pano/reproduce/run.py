@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from lidar2pano.data.clips import runs
-from lidar2pano.data.frames import Frame, FrameList
+from lidar2pano.data.frames import Frame, FrameList, listed_splits
 from lidar2pano.data.layouts import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
@@ -213,12 +213,7 @@ def budget(text: str) -> list[str]:
 def splits(root: Path) -> set[str]:
     """Return the names of the data set's splits."""
     listing = root / "splits.json"
-    if not listing.is_file():
-        return set(SEQUENCES)
-    content = read_json(listing, "write split -> list of seq/NNNNNN")
-    if not isinstance(content, dict):
-        raise InputError(f"{listing}: must be an object of split -> list of seq/NNNNNN; write it so")
-    return set(content)
+    return set(listed_splits(listing)) if listing.is_file() else set(SEQUENCES)
 
 
 # --- the run ----------------------------------------------------------------------------------------------------------
@@ -362,18 +357,6 @@ def _key(plan: Plan, row: PaperRow, files: Mapping[str, Path], scored: FrameList
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Training:
-    """The training of one part: its recipe, its length in words, minutes if they are limited, bytes of its run."""
-
-    part: str
-    recipe: str
-    length: str
-    minutes: float
-    bytes: int
-    finished: bool
-
-
 def missing_packages(plan: Plan) -> list[str]:
     """Return the absent packages of the extra `train` among the imports of the plan's parts."""
     needed = [name for part, names in PACKAGES.items() if not part or part in plan.parts for name in names]
@@ -384,25 +367,6 @@ def check_packages(plan: Plan) -> None:
     """Raise InputError before the first training if a later one would lack a package."""
     if missing := missing_packages(plan):
         raise InputError(f"reproduce needs {', '.join(missing)}: pip install 'lidar2pano[train]'")
-
-
-def trainings(plan: Plan) -> list[Training]:
-    """Return the trainings of a plan in their order; InputError for a change of no recipe."""
-    return [_training(plan, part) for part in plan.parts]
-
-
-def _training(plan: Plan, part: str) -> Training:
-    recipe = plan.recipe(part, {})
-    settings = recipe.training
-    length = f"{settings.epochs:g} epochs" if settings.epochs else f"{settings.steps} steps"
-    return Training(
-        part=part,
-        recipe=recipe.name,
-        length=f"{settings.minutes:g} min" if settings.minutes else length,
-        minutes=settings.minutes,
-        bytes=COPIES * _network_bytes(recipe),
-        finished=(plan.run(part) / "weights").is_dir(),
-    )
 
 
 def _network_bytes(recipe: Recipe) -> int:
@@ -434,16 +398,16 @@ def _lacking(frame: Frame, plan: Plan, *, scoring: bool) -> list[str]:
 
 def describe(plan: Plan) -> tuple[list[str], list[str]]:
     """Return the lines of a plan, and of its gaps."""
-    planned = trainings(plan)
-    lines = [
-        f"{item.part:20} {item.recipe:24} {item.length:>14}{'  finished' if item.finished else ''}" for item in planned
-    ]
-    rest = [item for item in planned if not item.finished]
-    minutes = [item.minutes for item in rest]
+    lines, minutes, size = list[str](), list[float](), 0
+    for part in plan.parts:
+        recipe, finished = plan.recipe(part, {}), (plan.run(part) / "weights").is_dir()
+        settings, size = recipe.training, size + COPIES * _network_bytes(recipe)
+        length = f"{settings.epochs:g} epochs" if settings.epochs else f"{settings.steps} steps"
+        length = f"{settings.minutes:g} min" if settings.minutes else length
+        lines.append(f"{part:20} {recipe.name:24} {length:>14}{'  finished' if finished else ''}")
+        minutes += [] if finished else [settings.minutes]
     total = f"{sum(minutes):g} min" if all(minutes) else "as long as their steps take; --budget limits it"
-    lines.append(
-        f"{len(rest)} trainings: {total}, and up to {sum(item.bytes for item in planned) / GIB:.1f} GiB in {plan.out}"
-    )
+    lines.append(f"{len(minutes)} trainings: {total}, and up to {size / GIB:.1f} GiB in {plan.out}")
     count = len(frames(plan.data, plan.split))
     lines.append(f"{len(plan.rows)} rows scored on {min(plan.frames or count, count)} frames of {plan.split}")
     packages = [f"{name}: pip install 'lidar2pano[train]'" for name in missing_packages(plan)]

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, hidden
 from lidar2pano.hardware import pick_device
 from lidar2pano.train.averages import EMA, averaged
 from lidar2pano.train.checkpoint import (
@@ -48,7 +48,6 @@ from lidar2pano.train.environment import (
     clock,
     device_name,
     has_channels_last,
-    hidden,
     interrupts,
     largest,
     log_precision,

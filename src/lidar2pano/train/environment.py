@@ -152,19 +152,6 @@ class Timer:
 
 
 @contextmanager
-def hidden(module: str) -> Iterator[None]:
-    """Let an import of the module fail inside, unless it is imported already."""
-    if module in sys.modules:
-        yield
-        return
-    sys.modules[module] = None  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        del sys.modules[module]
-
-
-@contextmanager
 def interrupts() -> Iterator[Callable[[], bool]]:
     """Inside, the first Ctrl-C or SIGTERM makes the value return True; the second raises KeyboardInterrupt.
 

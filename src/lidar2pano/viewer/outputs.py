@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +15,7 @@ import torch
 from PIL import Image
 
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
-from lidar2pano.errors import InputError
+from lidar2pano.errors import require_extra
 from lidar2pano.formats.image_files import DEPTH_STEPS, write_whole
 from lidar2pano.geometry.camera import camera_in_panorama
 from lidar2pano.labels import COMMON15
@@ -114,7 +113,8 @@ class VideoOutput(_GrowingFile):
     """A video (MP4, H.264) of the panoramas, ten a second."""
 
     def __init__(self, path: Path) -> None:
-        av = _extra("av", "--video", "recordings")
+        with require_extra("recordings", "--video"):
+            import av
         super().__init__(path)
         self._to_frame = av.VideoFrame.from_ndarray
         self._container = av.open(str(self.part), "w", format="mp4")
@@ -148,7 +148,9 @@ class RerunOutput(_GrowingFile):
     """A recording for Rerun (rerun.io): points, panorama, classes and depth over time."""
 
     def __init__(self, path: Path) -> None:
-        self._rerun = _extra("rerun", "--rerun", "recordings")
+        with require_extra("recordings", "--rerun"):
+            import rerun
+        self._rerun = rerun
         super().__init__(path)
         self._log = self._rerun.RecordingStream("lidar2pano", recording_id=path.stem)
         self._log.save(str(self.part))
@@ -177,13 +179,6 @@ class RerunOutput(_GrowingFile):
     def end(self) -> None:
         """Write the rest of the log."""
         self._log.disconnect()
-
-
-def _extra(module: str, option: str, extra: str) -> Any:  # noqa: ANN401
-    try:
-        return import_module(module)
-    except ModuleNotFoundError as error:
-        raise InputError(f"{option} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error
 
 
 def camera_layer(scan_file: Path, view: View) -> np.ndarray | None:
