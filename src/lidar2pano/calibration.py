@@ -320,8 +320,7 @@ def _unrectified(path: Path, rows: dict[str, str]) -> np.ndarray:
 
 def _rigid(path: Path, name: str, matrix: np.ndarray) -> np.ndarray:
     """Return a (3, 4) pose as (4, 4)."""
-    R = matrix[:, :3]
-    if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
+    if not is_rotation(matrix[:, :3]):
         raise InputError(f"{path}: row {name}: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
     return np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
 
@@ -329,6 +328,11 @@ def _rigid(path: Path, name: str, matrix: np.ndarray) -> np.ndarray:
 def _check_near(path: Path, T: np.ndarray) -> None:
     if np.abs(T[:3, 3]).max() > FARTHEST_CAMERA_M:
         raise InputError(f"{path}: the camera stands farther than {FARTHEST_CAMERA_M:g} m away; take KITTI's file")
+
+
+def is_rotation(R: np.ndarray) -> bool:
+    """Return whether R (3, 3) is a rotation, as far as ROTATION_TOLERANCE."""
+    return bool(np.linalg.det(R) >= 0 and np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE))
 
 
 def is_camera_matrix(K: np.ndarray) -> bool:

@@ -23,7 +23,7 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES, THINGS
 from lidar2pano.panorama import Panorama
 from lidar2pano.recordings.playback import Playback
-from lidar2pano.recordings.reading_process import ConfinedPlayback
+from lidar2pano.recordings.reading_process import confined_playback
 from lidar2pano.scan import Scan
 
 SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
@@ -129,7 +129,7 @@ def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool
     source, out = open_store(job.source), open_store(job.out)
     with (
         local_copy(source, sequence.recording) as path,
-        closing(ConfinedPlayback(path, job.selection.topic)) as opened,
+        closing(confined_playback(path, job.selection.topic)) as opened,
     ):
         stamps_s, poses = [], []
         for stamp_s, pose in _track(opened, job.overrides):

@@ -14,7 +14,7 @@ from lidar2pano.drives.folders import STORAGE, Source, find_sources, no_scan, se
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.reading_process import ConfinedPlayback
+from lidar2pano.recordings.reading_process import confined_playback
 from lidar2pano.recordings.recorded_scans import METADATA
 
 ALL = ReadOptions()
@@ -101,7 +101,7 @@ def _recorded(store: Store, name: str, stem: str, shard: Shard, selection: ReadO
     if whole and not shard.takes(name):
         return []
     try:
-        with local_copy(store, name) as path, closing(ConfinedPlayback(path, selection.topic)) as opened:
+        with local_copy(store, name) as path, closing(confined_playback(path, selection.topic)) as opened:
             numbers = opened.numbers(selection)
     except InputError as error:
         return [Entry(key=ScanKey(name), stem=stem, error=str(error))] if shard.takes(name) else []

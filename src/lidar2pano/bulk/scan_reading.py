@@ -21,7 +21,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.recordings.playback import Playback
-from lidar2pano.recordings.reading_process import ConfinedPlayback, read_cloud
+from lidar2pano.recordings.reading_process import confined_playback, read_cloud
 from lidar2pano.recordings.recorded_scans import Frame
 
 ATTEMPTS = 8  # first scans of a recording; one of them tells how to read all others
@@ -130,7 +130,7 @@ class ScanReading:
                 self._open.close()
                 self._name, self._scans = name, None
                 self._path = self._open.enter_context(self._source.local(name))
-                opened = self._open.enter_context(closing(ConfinedPlayback(self._path, self._options.selection.topic)))
+                opened = self._open.enter_context(closing(confined_playback(self._path, self._options.selection.topic)))
                 self._scans = OpenRecording(opened, self._options.overrides)
             return self._scans.scan(number)
         except InputError as error:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration, LensCalibration, is_camera_matrix, read_calib
+from lidar2pano.calibration import Calibration, LensCalibration, is_camera_matrix, is_rotation, read_calib
 from lidar2pano.errors import InputError
 from lidar2pano.formats.yaml_files import read_document
 
@@ -205,8 +205,7 @@ def _pose(path: Path, entry: Entry) -> np.ndarray | None:
     if numbers.size not in (12, 16):
         raise InputError(f"{path}: {name}: must hold 16 numbers (4x4), it has {numbers.size}")
     T = np.vstack([numbers[:12].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-    R = T[:3, :3]
-    if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
+    if not is_rotation(T[:3, :3]):
         raise InputError(f"{path}: {name}: holds no rotation; name another calibration")
     return np.linalg.inv(T) if name in INVERSE_POSES else T
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration, is_camera_matrix
+from lidar2pano.calibration import Calibration, is_camera_matrix, is_rotation
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -152,8 +152,7 @@ def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndar
     if values.shape != shape or not np.isfinite(values).all():
         raise InputError(f"{path}: {name!r} must be {shape[0]}x{shape[1]} finite numbers, it is {values.shape}")
     if shape == (4, 4):
-        R = values[:3, :3]
-        if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
+        if not is_rotation(values[:3, :3]):
             raise InputError(f"{path}: {name!r} holds no rotation; take the file from the data set")
     elif not is_camera_matrix(values):
         raise InputError(f"{path}: {name!r} is no camera matrix; take the file from the data set")

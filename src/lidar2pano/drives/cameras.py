@@ -22,7 +22,7 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.geometry.stitching import Camera
-from lidar2pano.recordings.reading_process import ConfinedImages
+from lidar2pano.recordings.reading_process import confined_images
 from lidar2pano.recordings.recorded_images import RecordedImage
 from lidar2pano.views import VIEWS
 
@@ -83,12 +83,12 @@ class RecordingCameras:
     """The cameras of a recording, scan after scan; InputError for topics without images."""
 
     def __init__(self, path: Path, options: CameraOptions) -> None:
-        self._images, self._options = ConfinedImages(path, options.topics), options
-        self.close = self._images.close
+        self._images, self._options = confined_images(path, options.topics), options
+        self._topics, self.close = self._images.topics(), self._images.close
 
     def __bool__(self) -> bool:
         """Return whether it has any."""
-        return bool(self._images.topics)
+        return bool(self._topics)
 
     def of(self, stamp_s: float, frame: str, T_scan_cloud: np.ndarray) -> ScanCameras:
         """Read the cameras of a scan at a time, whose cloud's frame is `frame`; InputError for damage."""

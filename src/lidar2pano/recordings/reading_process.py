@@ -8,11 +8,11 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings import playback as unlimited
 from lidar2pano.recordings import recorded_scans
 from lidar2pano.recordings.description import Description
-from lidar2pano.recordings.recorded_images import ImagePlayback, RecordedImage
+from lidar2pano.recordings.recorded_images import ImagePlayback
 from lidar2pano.recordings.recorded_scans import Frame
 
 _own = threading.local()  # a child for each thread
@@ -107,14 +107,24 @@ class DecodedFrame:
 
 
 class _Open:
-    """An object kept in a child of its own: `call` calls its methods there."""
+    """An object kept in a child of its own: its methods are called there."""
 
     def __init__(self, path: Path, make: Any, *arguments: Any) -> None:  # noqa: ANN401
         self.path, self._child, self._bound = path, ChildProcess(keeps=True), Bound.of(path)
         self._number: int = self._child.call(self._bound, str(path), _kept, make, path, *arguments)
 
     def call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
+        """Return the answer of a method; a DecodedFrame in place of a Frame."""
         return self._child.call(self._bound, str(self.path), _call_kept, self._number, method, *arguments)
+
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        """Return a method."""
+
+        def answer(*arguments: Any) -> Any:  # noqa: ANN401
+            value = self.call(method, *arguments)
+            return value.frame(self.path) if isinstance(value, DecodedFrame) else value
+
+        return answer
 
     def close(self) -> None:
         self._child.close()
@@ -179,46 +189,11 @@ def near_blocks(path: Path, places: np.ndarray, reach_m: float) -> Generator[Blo
             yield block
 
 
-class ConfinedImages:
-    """An ImagePlayback in the child."""
-
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        self.path = path
-        self._open = _Open(path, ImagePlayback, names)
-        self.topics: list[str] = self._open.call("topics")
-
-    def at(self, stamp_s: float, frame: str) -> list[RecordedImage]:
-        """See ImagePlayback."""
-        return self._open.call("at", stamp_s, frame)
-
-    def close(self) -> None:
-        """Close the recording."""
-        self._open.close()
+def confined_images(path: Path, names: Sequence[str]) -> ImagePlayback:
+    """Return an ImagePlayback in the child."""
+    return cast(ImagePlayback, _Open(path, ImagePlayback, names))
 
 
-class ConfinedPlayback:
-    """A Playback in the child."""
-
-    def __init__(self, path: Path, topic: str = "") -> None:
-        self.path = path
-        self._open = _Open(path, unlimited.playback, topic)
-
-    def numbers(self, options: ReadOptions) -> Sequence[int]:
-        """See Playback."""
-        return self._open.call("numbers", options)
-
-    def frame(self, number: int) -> Frame:
-        """See Playback."""
-        return self._open.call("frame", number).frame(self.path)
-
-    def recorded_s(self, number: int) -> float:
-        """See Playback."""
-        return self._open.call("recorded_s", number)
-
-    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
-        """See Playback."""
-        return self._open.call("motion", number, frame)
-
-    def close(self) -> None:
-        """See Playback."""
-        self._open.close()
+def confined_playback(path: Path, topic: str = "") -> unlimited.Playback:
+    """Return a Playback in the child."""
+    return cast(unlimited.Playback, _Open(path, unlimited.playback, topic))

@@ -244,24 +244,14 @@ def _needles() -> np.ndarray:
     return solid
 
 
-def _wire() -> np.ndarray:
-    u, v = grid(SIZE)
-    return (np.abs((u * 12) % 1 - 0.5) > 0.44) | (np.abs((v * 5) % 1 - 0.5) > 0.47)
-
-
-def _pickets() -> np.ndarray:
-    u, _ = grid(SIZE)
-    return (u * 8) % 1 < 0.66
-
-
-def _railing() -> np.ndarray:
-    u, v = grid(SIZE)
-    return ((u * 8) % 1 < 0.16) | (v % 1 < 0.04) | (v % 1 > 0.96)
-
-
+_U, _V = grid(SIZE)
 CUTOUTS: dict[str, Callable[[], np.ndarray]] = {
-    "leaves": _leaves, "needles": _needles, "wire": _wire, "pickets": _pickets, "railing": _railing,
-}  # fmt: skip
+    "leaves": _leaves,
+    "needles": _needles,
+    "wire": lambda: (np.abs((_U * 12) % 1 - 0.5) > 0.44) | (np.abs((_V * 5) % 1 - 0.5) > 0.47),
+    "pickets": lambda: (_U * 8) % 1 < 0.66,
+    "railing": lambda: ((_U * 8) % 1 < 0.16) | (_V % 1 < 0.04) | (_V % 1 > 0.96),
+}
 
 
 @cache
