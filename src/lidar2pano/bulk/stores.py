@@ -21,7 +21,7 @@ STALE_S = 24 * 3600  # age at which unfinished files of other machines go; a loc
 
 
 def open_store(place: str | Path) -> Store:
-    """Return the store at a folder or URL; InputError for a URL that cannot be opened."""
+    """Return the store at a folder or URL; InputError for a URL without access."""
     text = str(place)
     if text.startswith("file://"):
         return Folder(Path(text.removeprefix("file://")))
@@ -30,7 +30,7 @@ def open_store(place: str | Path) -> Store:
 
 @contextmanager
 def local_copy(store: Store, name: str) -> Iterator[Path]:
-    """Give `store.local`, with errors that name the place of the file in the store instead of a download's."""
+    """Give `store.local`, with errors about the file's place in the store instead of a download's."""
     with store.local(name) as path:
         try:
             yield path
@@ -70,7 +70,7 @@ class Folder:
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:
-        """Give a local folder for files that `put` takes; the folder goes with the context.
+        """Give a local folder for the files of `put`; the folder goes with the context.
 
         It lies in the folder itself, so that `put` is a renaming; files of killed runs are removed.
         """

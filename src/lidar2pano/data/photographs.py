@@ -1,4 +1,4 @@
-"""Photographs of any data set, all cameras alike, and latents of them that another encoder made."""
+"""Photographs of any data set, all cameras alike, and latents of them by another encoder."""
 
 from __future__ import annotations
 

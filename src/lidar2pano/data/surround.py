@@ -30,7 +30,7 @@ class SurroundFrame(Frame):
     """A frame of a data set with cameras all around; `front` is the name of the forward camera.
 
     view  the raster of its panorama, whose origin becomes the front camera's centre.
-    The panorama's depths and labels are those of the scan's points that own the pixels.
+    The panorama's depths and labels are those of the points in the pixels.
     """
 
     front: str

@@ -35,7 +35,7 @@ class RangeImage:
     view      the raster (H rows, W columns).
     channels  (5, H, W) float32: range, x, y, z in metres from the view's origin, remission; zero where not valid.
     valid     (H, W) bool: some point fell into the pixel.
-    index     (H, W) int64: the point that owns the pixel, -1 where none does.
+    index     (H, W) int64: the point in the pixel, the nearest one; -1 without any.
     row       (N,) int64: the raster row each point falls on, outside 0 .. H-1 where it is out of view.
     column    (N,) int64: likewise the column.
     range_m   (N,) float32: distance of each point from the view's origin, metres; zero where not usable.
@@ -55,11 +55,11 @@ class RangeImage:
 
     @property
     def dropped(self) -> int:
-        """Number of points that no raster could take: NaN, Inf, or at an origin."""
+        """Number of points without a place on any raster: NaN, Inf, or at an origin."""
         return int((~self.usable).sum())
 
     def spread(self, values: Tensor, empty: int = 0) -> Tensor:
-        """Carry one value per point (N,) to the pixels (H, W) that the points own; `empty` elsewhere."""
+        """Carry one value per point (N,) to the pixels (H, W) of the points; `empty` elsewhere."""
         return torch.cat([values, values.new_full((1,), empty)])[self.index]  # where no point is, -1: the last
 
 
@@ -93,7 +93,7 @@ class Normalisation:
 
     @classmethod
     def of(cls, channels: int) -> Normalisation:
-        """The defaults for a network that reads so many channels: with roughness where they are six."""
+        """The defaults for a network of so many channels: with roughness where they are six."""
         plain = cls()
         if channels == len(plain.mean):
             return plain
@@ -112,7 +112,7 @@ class Normalisation:
 
 
 def check_normalisation(mean: Sequence[float], deviation: Sequence[float]) -> None:
-    """Raise ValueError for numbers that would turn values of up to a kilometre into NaN or Inf in half precision."""
+    """Raise ValueError for numbers turning values of up to a kilometre into NaN or Inf in half precision."""
     if not all(LEAST_DEVIATION <= value < math.inf for value in deviation) or not all(map(math.isfinite, mean)):
         raise ValueError(
             f"normalisation needs finite means, and a positive deviation, {LEAST_DEVIATION:g} or more, each"
@@ -308,9 +308,9 @@ def headings_and_rises(view: View, *, device: str | torch.device = "cpu") -> tup
 
 
 def nearest_points(cell: Tensor, distance_m: Tensor, cells: int) -> Tensor:
-    """Z-buffer: index (cells,) int64 of the point that owns each cell, the nearest; -1 where there is none.
+    """Z-buffer: index (cells,) int64 of the nearest point in each cell; -1 where there is none.
 
-    cell        (N,) int64 in [0, cells): the cell that each point falls into; `cells` for a point that is out of view.
+    cell        (N,) int64 in [0, cells): the cell of each point; `cells` for a point out of view.
     distance_m  (N,) float32, not negative; of equal distances the first in file order owns the cell.
 
     A float's bits order like the float when it is positive; with the point's number below them, the least key is the

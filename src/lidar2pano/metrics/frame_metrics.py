@@ -100,7 +100,7 @@ class SSIM(FrameMetric):
     """Structural similarity, Wang et al. 2004, equation 13: the mean over the frames of each frame's mean.
 
     Gaussian window of 11 x 11 pixels, sigma 1.5; K 0.01 and 0.03; a data range of 255; each colour on its own, then
-    their mean. Borders: only windows that lie wholly in the image count, so (H - 10) x (W - 10) of them (as Wang et
+    their mean. Borders: only windows wholly in the image count, so (H - 10) x (W - 10) of them (as Wang et
     al. and scikit-image have it; torchmetrics mirrors the image beyond its borders and counts those windows too).
     """
 
@@ -112,7 +112,7 @@ class SSIM(FrameMetric):
 
         valid  (H, W) bool: known pixels of the target; a window counts if all of its pixels are. A frame without such
                a window does not count.
-        Raises ValueError for other types, shapes that differ and images smaller than the window.
+        Raises ValueError for other types, different shapes and images smaller than the window.
         """
         values = ssim_map(predicted, target)
         mask = mask_tensor(valid, (values.shape[0] + 2 * REACH, values.shape[1] + 2 * REACH), "valid")

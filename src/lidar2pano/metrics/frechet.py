@@ -16,7 +16,7 @@ PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the image per pixel of Eff
 
 
 class FrechetDistance(SetMetric):
-    """Frechet distance of the Gaussians that fit the features of the predicted and of the target images.
+    """Frechet distance of the Gaussians fitted to the features of the predicted and of the target images.
 
     Heusel et al. 2017 (arXiv:1706.08500), equation 6. It is biased: it falls with the number of images, so compare
     only over equally many, and only values of the same feature extractor.

@@ -2,7 +2,7 @@
 
 Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `inception-2015-12-05` that Heusel et al.
 2017 took the third pooling's 2048 features of. The weights were ported to torch by M. Seitzer (pytorch-fid, Apache
-2.0); parameters are named as in that file. Where it differs from the network of the paper:
+2.0); parameters are named as there. Where it differs from the network of the paper:
 
 * average pools do not count the border's zeros;
 * the last block pools by maximum, the one before by average;
@@ -155,7 +155,7 @@ class Mixed(nn.Module):
 
     branches  of each its layers (published name, outputs, kernel), one after another; the last one's name may be two,
               layers beside each other.
-    pool      of the branch that begins with it;  pooled: outputs of that branch's convolution, 0 for none.
+    pool      before the last branch;  pooled: outputs of its convolution, 0 for none.
     strided   whether the raster is halved, by the last layer of each branch.
     """
 

@@ -191,7 +191,7 @@ class PairwiseSlicedWasserstein(FrameMetric):
       - cuts patches at the same random places of both images; pads with zeros; doubles pixels before it blurs.
     Two unrelated photographs of KITTI are at 2.2 at every level but the last and at 5.0 there, 2.6 on the mean; the
     paper's systems are at 1.8 to 2.9. So this distance says little about images.
-    Our number is that version's divided by 1000, averaged over frames.
+    Our number is 1/1000 of this version's, averaged over frames.
     """
 
     def __init__(self, *, seed: int = 0) -> None:
