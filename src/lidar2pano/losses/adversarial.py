@@ -224,24 +224,24 @@ class DiffAugment:
             cut_column=torch.where(cutout, torch.rand(images), none),
         )
 
-    def apply(self, colour: Tensor, valid: Tensor, condition: Tensor) -> Tensor:
+    def apply(self, colour: Tensor, condition: Tensor) -> Tensor:
         """The discriminator's input (B, 3 + C, H, W): augmented colours and their condition.
 
-        colour     (B, 3, H, W) in [-1, 1];  valid: (B, 1, H, W) 0 or 1; invalid colours become zero.
+        colour     (B, 3, H, W) in [-1, 1].
         condition  (B, C, H, W), the source of the colours: translated and cut out alike.
         """
-        joined = torch.cat([self._recoloured(colour, valid) * valid, condition], 1)
+        joined = torch.cat([self._recoloured(colour), condition], 1)
         translated = [self._translated(image, number) for number, image in enumerate(joined)]
         return torch.stack(translated) * self._kept(joined)
 
-    def _recoloured(self, colour: Tensor, valid: Tensor) -> Tensor:
+    def _recoloured(self, colour: Tensor) -> Tensor:
         brightness, saturation, contrast = (
             factor.to(colour)[:, None, None, None] for factor in (self.brightness, self.saturation, self.contrast)
         )
         colour = colour + brightness
         grey = colour.mean(1, keepdim=True)
         colour = grey + (colour - grey) * saturation
-        mean = (grey * valid).sum((1, 2, 3), keepdim=True) / valid.sum((1, 2, 3), keepdim=True).clamp(min=1)
+        mean = grey.mean((1, 2, 3), keepdim=True)
         return mean + (colour - mean) * contrast
 
     def _translated(self, image: Tensor, number: int) -> Tensor:

@@ -71,10 +71,10 @@ class LatentTexture(LatentPainting):
         made = self.painted(batch)
         real = torch.where(batch.shown[:, None], batch.picture, made.detach())
         terms = {"pooled": options.pooled * self._pooled_loss(made, batch)}
-        augment, everywhere = DiffAugment.drawn(len(made), options.augment_probability), torch.ones_like(made[:, :1])
+        augment = DiffAugment.drawn(len(made), options.augment_probability)
         layers = torch.cat([batch.shown[:, None], interpolate(batch.conditions, scale_factor=2.0)], 1)
-        real = augment.apply(real, everywhere, everywhere[:, :0])
-        made, shown, conditions = augment.apply(made, everywhere, layers).split((3, 1, CONDITIONS), 1)
+        real = augment.apply(real, layers[:, :0])
+        made, shown, conditions = augment.apply(made, layers).split((3, 1, CONDITIONS), 1)
         texture = Texture(self.features, made, real, conditions.detach())
         critic = self.networks["critic"]
         yield "critic", texture.critic_loss(critic)
