@@ -35,7 +35,7 @@ class RangeImage:
     view      the raster (H rows, W columns).
     channels  (5, H, W) float32: range, x, y, z in metres from the view's origin, remission; zero where not valid.
     valid     (H, W) bool: some point fell into the pixel.
-    index     (H, W) int64: the point in the pixel, the nearest one; -1 without any.
+    index     (H, W) int64: the point that owns the pixel, -1 where none does.
     row       (N,) int64: the raster row each point falls on, outside 0 .. H-1 where it is out of view.
     column    (N,) int64: likewise the column.
     range_m   (N,) float32: distance of each point from the view's origin, metres; zero where not usable.
@@ -59,7 +59,7 @@ class RangeImage:
         return int((~self.usable).sum())
 
     def spread(self, values: Tensor, empty: int = 0) -> Tensor:
-        """Carry one value per point (N,) to the pixels (H, W) of the points; `empty` elsewhere."""
+        """Carry one value per point (N,) to the pixels (H, W) that the points own; `empty` elsewhere."""
         return torch.cat([values, values.new_full((1,), empty)])[self.index]  # where no point is, -1: the last
 
 
