@@ -94,9 +94,7 @@ class Annotation:
     def coco(self, stem: str, image: str) -> dict[str, Any]:
         """Return the JSON of COCO panoptic for this one image, whose file is called `image`."""
         rows, columns = self.values.shape
-        number = int(
-            hashlib.sha256(os.fsencode(stem)).hexdigest()[:12], 16
-        )  # differs among images that are put together
+        number = int(hashlib.sha256(os.fsencode(stem)).hexdigest()[:12], 16)  # differs among images put together
         segments = [
             {
                 "id": segment.value,
@@ -115,11 +113,8 @@ class Annotation:
             if index
         ]
         annotation = {"image_id": number, "file_name": f"{stem}.panoptic.png", "segments_info": segments}
-        return {
-            "images": [{"id": number, "file_name": image, "height": rows, "width": columns}],
-            "annotations": [annotation],
-            "categories": categories,
-        }
+        images = [{"id": number, "file_name": image, "height": rows, "width": columns}]
+        return {"images": images, "annotations": [annotation], "categories": categories}
 
     def panoptic_image(self) -> np.ndarray:
         """Return the values (h, w, 3) uint8 as COCO writes them: red + 256 green + 65536 blue."""
@@ -198,15 +193,11 @@ def save_annotations(
 
 
 def _files(annotation: Annotation, stem: str, image_format: str) -> Iterator[Writer]:
-    """Yield the form, name and writing function of every file."""
+    """Yield the form, name and writing function of every file; texts are ASCII."""
     image = stem + COLOUR_FORMATS[image_format][0]
-    yield "coco", f"{stem}.panoptic.json", lambda path: _write(path, json.dumps(annotation.coco(stem, image)) + "\n")
+    yield "coco", f"{stem}.panoptic.json", lambda path: path.write_text(json.dumps(annotation.coco(stem, image)) + "\n")
     yield "coco", f"{stem}.panoptic.png", lambda path: write_png(path, annotation.panoptic_image())
     city = stem.replace("%", "%25").replace("_", "%5F") + "_000000_000000_gtFine"
     yield "cityscapes", f"{city}_labelIds.png", lambda path: write_ids(path, annotation.cityscapes[0])
     yield "cityscapes", f"{city}_instanceIds.png", lambda path: write_ids(path, annotation.cityscapes[1])
-    yield "yolo", f"{stem}.txt", lambda path: _write(path, annotation.yolo())
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    yield "yolo", f"{stem}.txt", lambda path: path.write_text(annotation.yolo())

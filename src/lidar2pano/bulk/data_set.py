@@ -15,7 +15,7 @@ from torch.nn.functional import max_pool2d, pad
 from lidar2pano.bulk.entries import SEMANTIC_KITTI as KITTI_LAYOUT
 from lidar2pano.bulk.entries import Entry, Job, Shard
 from lidar2pano.bulk.scan_reading import OpenRecording
-from lidar2pano.bulk.stores import Folder, Store, local_copy, open_store
+from lidar2pano.bulk.stores import Folder, Store, local_copy, open_store, put_bytes
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
@@ -137,7 +137,8 @@ def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool
                 return False
             stamps_s.append(stamp_s)
             poses.append(pose)
-    _write(out, sequence.folder, _texts(np.array(stamps_s), poses))
+    for name, text in _texts(np.array(stamps_s), poses).items():
+        put_bytes(out, f"{sequence.folder}/{name}", text.encode())
     return True
 
 
@@ -172,10 +173,3 @@ def _texts(stamp_s: np.ndarray, poses: list[np.ndarray | None]) -> dict[str, str
 
 def _line(T: np.ndarray) -> str:
     return " ".join(f"{value:.9e}" for value in T[:3].ravel())
-
-
-def _write(out: Store, folder: str, texts: dict[str, str]) -> None:
-    with out.scratch() as scratch:
-        for name, text in texts.items():
-            (scratch / name).write_text(text, encoding="utf-8")
-            out.put(scratch / name, f"{folder}/{name}")

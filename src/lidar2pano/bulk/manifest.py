@@ -17,7 +17,7 @@ from lidar2pano.bounded_files import read_bytes, sha256_of
 from lidar2pano.bulk.data_set import copy_sequences
 from lidar2pano.bulk.entries import RUN_FILE, SEMANTIC_KITTI, Entry, Job, ScanKey, Shard
 from lidar2pano.bulk.scan_reading import ScanReading
-from lidar2pano.bulk.stores import Folder, Store, open_store
+from lidar2pano.bulk.stores import Folder, Store, open_store, put_bytes
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import json_lines, read_json
 from lidar2pano.labels import COMMON15
@@ -62,7 +62,7 @@ class Manifest:
                 kept[name] = describe(name)
         lines = [_line(record) for record in kept.values()]
         if b"".join(lines) != content or not self._store.exists(self.name):
-            self._write(b"".join(lines))
+            put_bytes(self._store, self.name, b"".join(lines))
         self._lines = [] if self._store.appends else lines
 
     def add(self, record: dict[str, Any]) -> None:
@@ -77,7 +77,7 @@ class Manifest:
     def flush(self) -> None:
         """Upload the lines to a store whose files cannot grow."""
         if self._lines and not self._store.appends:
-            self._write(b"".join(self._lines))
+            put_bytes(self._store, self.name, b"".join(self._lines))
         self._flushed = time.monotonic()
 
     def _complete(self, record: dict[str, Any]) -> bool:
@@ -88,11 +88,6 @@ class Manifest:
             return b""
         with self._store.local(name) as path:
             return read_bytes(path, MOST_BYTES)
-
-    def _write(self, data: bytes) -> None:
-        with self._store.scratch() as scratch:
-            (scratch / "manifest").write_bytes(data)
-            self._store.put(scratch / "manifest", self.name)
 
 
 def line(key: ScanKey, sha256: str, weights: str, **values: Any) -> dict[str, Any]:  # noqa: ANN401
@@ -153,9 +148,7 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
         _compare(out, settings)
     else:
         _refuse_others(job, out, listed)
-        with out.scratch() as scratch:
-            (scratch / RUN_FILE).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-            out.put(scratch / RUN_FILE, RUN_FILE)
+        put_bytes(out, RUN_FILE, f"{json.dumps(settings, indent=1)}\n".encode())
     if job.layout == SEMANTIC_KITTI and not in_place:
         copy_sequences(source, out, listed)
 

@@ -38,6 +38,13 @@ def local_copy(store: Store, name: str) -> Iterator[Path]:
             raise InputError(str(error).replace(str(path), f"{store.place}/{name}")) from None
 
 
+def put_bytes(store: Store, name: str, data: bytes) -> None:
+    """Make bytes the file `name` of a store, complete or not at all; raises InputError."""
+    with store.scratch() as scratch:
+        (scratch / "new").write_bytes(data)
+        store.put(scratch / "new", name)
+
+
 class Folder:
     """Files by name in a folder of this machine, or in a shared one.
 
