@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -53,11 +52,9 @@ def export(parts: Mapping[str, Exportable], folder: Path) -> list[Path]:
             differences[role] = compare(compiled, part, inputs)
             advance()
     contents[README] = readme(parts, differences).encode()
-    return [write_whole(folder / name, partial(_write, data)) for name, data in contents.items()]
-
-
-def _write(data: bytes, path: Path) -> None:
-    path.write_bytes(data)
+    return [
+        write_whole(folder / name, lambda path, data=data: path.write_bytes(data)) for name, data in contents.items()
+    ]
 
 
 def check_exportable(models: Mapping[str, str]) -> None:

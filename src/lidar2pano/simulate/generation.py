@@ -81,8 +81,7 @@ def data_set_page(settings: WorldSettings) -> str:
 def write_page(out: Path, settings: WorldSettings) -> None:
     """Write the page of a world into its folder; one that is there stays, since it may be someone's own."""
     if not (out / PAGE).exists():
-        text = data_set_page(settings)
-        write_text(out / PAGE, text)
+        write_text(out / PAGE, data_set_page(settings))
 
 
 class SequenceWriter:
@@ -121,12 +120,9 @@ class SequenceWriter:
         poses = self.world.drive.poses(time)
         poses_camera = T @ np.linalg.inv(poses[0]) @ poses @ np.linalg.inv(T)
         lines = [" ".join(f"{value:.9e}" for value in pose[:3].ravel()) for pose in poses_camera]
-        self._text("calib.txt", calib)
-        self._text("times.txt", "".join(f"{value:.6e}\n" for value in time))
-        self._text("poses.txt", "\n".join(lines) + "\n")
-
-    def _text(self, name: str, text: str) -> None:
-        write_text(self.folder / name, text)
+        write_text(self.folder / "calib.txt", calib)
+        write_text(self.folder / "times.txt", "".join(f"{value:.6e}\n" for value in time))
+        write_text(self.folder / "poses.txt", "\n".join(lines) + "\n")
 
     def scene(self, frame: int) -> Scene:
         """The static scene around a frame."""
