@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, interpolate
+from torch.nn.functional import grid_sample, interpolate, pad
 
 
 def as_float(mask: Tensor) -> Tensor:
@@ -48,17 +48,16 @@ def likeliest(scores: Tensor) -> Tensor:
 def adjacent_rows(mask: Tensor) -> tuple[Tensor, Tensor]:
     """Return the last row up to each pixel of a mask (..., H, W), and the first from it on, that is set; else -1 and H.
 
-    By maxima over 2, 4, 8, ... rows: a seventh of cummax's time.
+    By maxima over ..., 8, 4, 2 rows: a seventh of cummax's time.
     """
     rows = mask.shape[-2]
     number = torch.int16 if rows <= torch.iinfo(torch.int16).max else torch.int32  # as narrow as they fit
     from_top = torch.arange(1, rows + 1, dtype=number, device=mask.device)[:, None]
     latest = torch.stack([mask, mask.flip(-2)]) * from_top  # products: torch.where takes several times as long
-    step = 1
-    while step < rows:
-        lower = latest[..., step:, :]
-        lower.copy_(torch.maximum(lower, latest[..., :-step, :]))
-        step *= 2
+    steps = [1 << power for power in reversed(range((rows - 1).bit_length()))]
+    latest = pad(latest, (0, 0, sum(steps), 0))
+    for step in steps:
+        latest = torch.maximum(latest[..., step:, :], latest[..., :-step, :])
     upper_row, lower_row = latest.unbind(0)
     return upper_row.long().sub_(1), lower_row.flip(-2).long().neg_().add_(rows)
 
@@ -139,11 +138,11 @@ def largest_around(x: Tensor) -> Tensor:
     return largest
 
 
-def upsample_classes(scores: Tensor, factor: int, chunk: int = 1 << 14, least: float = 0) -> Tensor:
+def upsample_classes(scores: Tensor, factor: int, chunk: int = 1 << 16, least: float = 0) -> Tensor:
     """Return the classes (H * factor, W * factor) uint8 of scores (1, C, H, W) enlarged by `upsample_azimuth`.
 
     Only where a neighbour is of another class are scores enlarged: means of scores that name one class name it, too.
-    chunk  pixels that are enlarged at a time: a small piece stays in the processor's cache.
+    chunk  pixels that are enlarged at a time, a bound of memory: 17 MB for 16 classes.
     least  not 0: the scores are probabilities, whose logarithms are enlarged, none below that of `least`.
     """
     height, width = scores.shape[2:]

@@ -81,10 +81,10 @@ def vote(
     neighbours, cutoff_m = limits
     search = len(weights)
     table = _padded(_keys(ranges, ids), search // 2, circular)
-    corner = centre[0] * table.shape[1] + centre[1]
-    places = [row * table.shape[1] + column for row in range(search) for column in range(search)]
-    table = table.flatten()
-    keys = torch.stack([table[place:].index_select(0, corner) for place in places])
+    columns = table.shape[1]
+    corner = centre[0] * columns + centre[1]
+    windows = (search, search, table.numel() - (search - 1) * (columns + 1))  # of each pixel, without a copy
+    keys = table.as_strided(windows, (columns, 1, 1))[:, :, corner].flatten(0, 1)
     distance = keys.view(torch.float32)[:, HIGH::2]  # the neighbours' ranges, in place
     distance.sub_(range_m).abs_().mul_(weights.to(distance).view(-1, 1))
     distance[weights.numel() // 2].masked_fill_(own, 0)
