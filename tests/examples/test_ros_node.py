@@ -374,6 +374,16 @@ def test_the_node_takes_its_parameters(random_weights, monkeypatch):
     assert (array_of(message, channels=3) == (10, 200, 30)).all(axis=2).any(), ros.warnings
 
 
+def test_the_node_publishes_taller_panoramas(random_weights, monkeypatch):
+    parameters = {"weights": str(random_weights), "device": "cpu", "engine": "torch"}
+    heights = []
+    for elevation in ({}, {"elevation": "-16,24"}):
+        ros = Ros(monkeypatch, parameters | elevation, [("points", cloud(street(0, 3000)))], {"panorama/image"})
+        assert part("node").main() == 0
+        heights.append(ros.published[0][1].height)
+    assert heights[1] > heights[0]
+
+
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
@@ -381,6 +391,7 @@ def test_the_node_takes_its_parameters(random_weights, monkeypatch):
         ("look", "x", "look"),
         ("weights", "x", "x"),
         ("calib", "x.txt", "x.txt"),
+        ("elevation", "high", "elevation"),
         ("forward", "up", "axis"),
         ("sensor_height", "tall", "height"),
     ],

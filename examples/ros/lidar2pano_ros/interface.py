@@ -16,6 +16,7 @@ PARAMETERS = {  # name -> default and meaning; all are strings
     "engine": ("auto", "auto, torch, compile, onnx or openvino"),
     "device": ("auto", "auto, cpu or cuda"),
     "look": ("", "a look of the painter; empty: its own"),
+    "elevation": ("", "LOW,HIGH in degrees, or auto for what the sensor sees and more; empty: the usual rows"),
     "forward": ("", "the cloud's forward axis: x, y, -x, -y; empty: found out"),
     "remission": ("", "full remission: 1, 255, 65535; or none, if unusable; empty: found out"),
     "sensor_height": ("", "metres of the sensor above the ground; empty: found out"),

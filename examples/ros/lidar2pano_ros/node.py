@@ -66,6 +66,7 @@ def add_work(node: Any) -> None:
     overrides = overrides_of(chosen)
     pipeline = load(chosen["weights"], chosen["device"], chosen["engine"])
     pipeline = pipeline.in_look(chosen["look"]) if chosen["look"] else pipeline
+    pipeline = pipeline.reaching(chosen["elevation"]) if chosen["elevation"] else pipeline
     calibration = read_calib(Path(chosen["calib"])) if chosen["calib"] else None
     feeds = [ImageFeed(topic.strip()) for topic in chosen["cameras"].split(",") if topic.strip()]
     group = ReentrantCallbackGroup()
