@@ -254,6 +254,20 @@ def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     assert list(prediction.milliseconds) == FRONT_STAGES
 
 
+def test_a_taller_panorama_fills_the_cameras_image(random_weights, front_weights, kitti):
+    for elevation in ("-16,20", "auto"):
+        one = system(random_weights, device="cpu", elevation=elevation)
+        memory, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
+        assert prediction.camera_labels.shape == (376, 1241)
+        filled = (prediction.depth_m[0] > 0).all()
+        assert filled == (elevation != "auto"), "the street's sensor sees 2 degrees, so auto goes on to 12"
+        assert memory["camera"].view == (None if filled else one.pipeline.fitted(street(), Memory()).at(kitti).view)
+    with pytest.raises(InputError, match="elevation 'auto' is of panoramas"):
+        system(front_weights, device="cpu", elevation="auto")
+    with pytest.raises(InputError, match="elevation"):
+        system(random_weights, device="cpu", elevation="9,high")
+
+
 def test_colours_are_those_of_the_pipeline(random_weights, kitti):
     one = system(random_weights, device="cpu")
     inputs = SystemInput(scan=street(), calibration=kitti, origin=kitti.centre)

@@ -10,7 +10,7 @@ import typer
 
 from lidar2pano.cli.app import app
 from lidar2pano.cli.console import print_note
-from lidar2pano.cli.options import EngineOption
+from lidar2pano.cli.options import ElevationOption, EngineOption
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
     from lidar2pano.evaluate.folds import Fold
     from lidar2pano.evaluate.pictures import Preferences
+    from lidar2pano.pipeline import Pipeline
 
 
 MetricsOption = Annotated[
@@ -86,6 +87,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     pairs: PairsOption = None,
     leave_out: LeaveOutOption = "",
     folds: FoldsOption = None,
+    elevation: ElevationOption = "",
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
@@ -97,7 +99,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
-    build = cache(partial(system, device=device, sensor=sensor, engine=engine))
+    build = cache(partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation))
     if folds:
         if data or worst or pairs or leave_out:
             raise InputError("--folds compares scores over places; leave out --data, --worst, --pairs and --leave-out")
@@ -105,7 +107,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     elif leave_out:
-        leave_out_cameras(weights, data, split, leave_out, out, as_json, device, engine)
+        loader = partial(load_reaching, device=device, engine=engine, elevation=elevation)
+        leave_out_cameras(weights, data, split, leave_out, out, as_json, device, loader)
     else:
         systems = [build(name) for name in dict.fromkeys(weights)]
         score_split(systems, Fold(split, data, split), config, as_json, as_csv, out, worst, pairs)
@@ -192,6 +195,14 @@ def score_place(
         return score(systems, scored, data=data, split=place.split, config=config, worst=worst, after_each=after_each)
 
 
+def load_reaching(weights: str, device: str, engine: str, elevation: str) -> Pipeline:
+    """Load a family's pipeline, of taller panoramas where an elevation is named."""
+    from lidar2pano.pipeline import load
+
+    pipeline = load(weights, device, engine)
+    return pipeline.reaching(elevation) if elevation else pipeline
+
+
 def leave_out_cameras(
     weights: Sequence[str],
     data: Path,
@@ -200,7 +211,7 @@ def leave_out_cameras(
     out: Path,
     as_json: Path | None,
     device: str,
-    engine: str,
+    loader: Callable[[str], Pipeline],
 ) -> None:
     """Score the views of hidden cameras, write a sheet of each, and print a table."""
     from lidar2pano.cli.console import bar
@@ -208,12 +219,11 @@ def leave_out_cameras(
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig
     from lidar2pano.evaluate.hidden_cameras import score_hidden, table
-    from lidar2pano.pipeline import load
 
     if len(weights) != 1:
         raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
     patches = MetricConfig.parse("pictures,camera", device=device).patches
-    scored, pipeline = frames(data, split), load(weights[0], device, engine)
+    scored, pipeline = frames(data, split), loader(weights[0])
     with bar(len(scored), f"hiding {leave_out}") as advance:
         scores = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance)
     summary = scores.as_dict()

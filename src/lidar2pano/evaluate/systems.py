@@ -29,7 +29,7 @@ from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_painter import Past, Vid2VidPainter
 from lidar2pano.pipeline import Segmenter, assemble, card_view, load_painter, load_segmenter, load_translator
 from lidar2pano.scene.depth import depth_code
-from lidar2pano.views import VIEWS, View, sensor_view
+from lidar2pano.views import VIEWS, View, elevation_range, sensor_view
 
 STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
 ORACLE = "oracle"  # first part of a chain: ground-truth camera labels
@@ -214,6 +214,7 @@ def system(
     device: str = "auto",
     sensor: str = "",
     engine: str = "torch",
+    elevation: str = "",
 ) -> System:
     """A system, ready to predict.
 
@@ -225,12 +226,25 @@ def system(
     painter  the same as "WEIGHTS+PAINTER". Behind a `CameraTranslator` or "oracle" only vid2vid paints.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
     engine   what computes the networks of a pipeline, as for pipeline.load; others run in torch.
+    elevation  as for Pipeline.reaching, "" for the usual rows.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
     parts = families.chained(weights) + ([] if painter is None else [str(painter)])
+    if not elevation:
+        return _system(parts, device, sensor, engine)
+    elevation_range(elevation)
+    one = _system(parts, device, sensor, engine)
+    if not isinstance(one, PanoramaSystem):
+        raise InputError(
+            f"{one.info.name}: elevation {elevation!r} is of panoramas; these predict a camera's image, so leave it out"
+        )
+    return replace(one, pipeline=one.pipeline.reaching(elevation))
+
+
+def _system(parts: list[str], device: str, sensor: str, engine: str) -> System:
     name, picked = "+".join(parts), pick_device(device)
     if STEADY in parts[1:]:
-        return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor, engine))
+        return _steady(name, _system([part for part in parts if part != STEADY], device, sensor, engine))
     view = sensor_view(sensor) if sensor else None
     if parts[0] == ORACLE:
         return _oracle(name, _merged(parts[1:]), picked)

@@ -170,8 +170,8 @@ class Pipeline:
         up, down = (math.tan(math.radians(degrees)) for degrees in (high, low))
         return self.view.between(up, down, STRIDE)
 
-    def _fitting(self, scan: Scan, memory: Memory) -> Pipeline:
-        """Return the pipeline with the rows that a scan of a stream asks for."""
+    def fitted(self, scan: Scan, memory: Memory) -> Pipeline:
+        """Return the pipeline with the rows that a stream's first scan asked for, or this one (`reaching` "auto")."""
         if not self.fits:
             return self
         if (view := memory.view) is None:
@@ -242,7 +242,7 @@ class Pipeline:
         pose  as of `remember`;  labels: as of `measure`;  cameras: as of a call.
         """
         timer = timer or Timer(self.device)
-        own = self._fitting(scan, memory)
+        own = self.fitted(scan, memory)
         measurement = own.measure(scan, timer, labels)
         scene = own.predict(measurement, timer)
         memory, scene = own.remember(memory, scene, pose, timer)
