@@ -51,7 +51,8 @@ def adjacent_rows(mask: Tensor) -> tuple[Tensor, Tensor]:
     By maxima over ..., 8, 4, 2 rows: a seventh of cummax's time.
     """
     rows = mask.shape[-2]
-    number = torch.int16 if rows <= torch.iinfo(torch.int16).max else torch.int32  # as narrow as they fit
+    narrow = rows <= torch.iinfo(torch.int16).max and not torch.compiler.is_exporting()  # ONNX Runtime pads no int16
+    number = torch.int16 if narrow else torch.int32
     from_top = torch.arange(1, rows + 1, dtype=number, device=mask.device)[:, None]
     latest = torch.stack([mask, mask.flip(-2)]) * from_top  # products: torch.where takes several times as long
     steps = [1 << power for power in reversed(range((rows - 1).bit_length()))]
