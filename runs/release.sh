@@ -64,11 +64,25 @@ world os1-128-day --sensor os1-128 --sequences $((towns / 10)) --frames 1 --hz 1
 for look in overcast autumn evening; do
   world "$look" --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 202 --look "$look"
 done
+# As high as any sensor sees: of translators for taller panoramas.
+for sensor in os1-128 pandar64 hdl64e; do
+  world "tall-$sensor" --sensor "$sensor" --sequences $((towns / 10)) --frames 2 --hz 0.7 --seed 61001 --view panorama-tall/2
+done
+world tall-centre --sensor os1-128 --place centre --sequences $((towns / 10)) --frames 2 --hz 0.7 --seed 61101 \
+  --view panorama-tall/2
 world test --sequences 5 --frames 4 --hz 10 --seed 909
 day=$out/towns/day
 sensors=$(printf "$out/towns/%s-scans:all," pandar64 os1-128 hdl32e vlp16)
 looks=$(printf "$out/towns/%s:all," overcast autumn evening centre pandar64-day pandar64-centre os1-128-day)
+tall=$(printf "$out/towns/%s:all," tall-os1-128 tall-pandar64 tall-hdl64e tall-centre)
 scans=$out/towns/centre-scans:all,${sensors%,} pictures=${looks%,}
+
+# Taller rows come last, and half of the weights stay: the usual rows are read oftener.
+taller() { # RUN RECIPE DATA SPLITS SEGMENTER RUN-OF-THE-START
+  stage "$1" "$2" "$3" 9 view=panorama-tall data.train="$tall$tall$4" training.validate_minutes=0 \
+    options.segmenter="$5" options.remission_octaves=3 networks.translator.optimizer.rate=5e-4 \
+    networks.translator.start="$(weights "$6" translator)" networks.translator.start_share=0.5
+}
 
 # Family `world`: simulated data, and photographs of CLEAN. A segmenter is taught by one with twice the arithmetic.
 any_direction=(options.rotation_deg=180 options.augment_probability=0.4 training.validate_minutes=0)
@@ -76,9 +90,11 @@ stage world-wide release-segmenter "$out/towns/scans" 90 data.train="all,$scans"
 stage world-segmenter fast-segmenter "$out/towns/scans" 45 data.train="all,$scans" "${any_direction[@]}" \
   options.teacher="$(weights world-wide segmenter)"
 stage world-translator release-translator "$day" 75 data.train="all,$pictures" training.validate_minutes=0 \
-  options.segmenter="$(weights world-segmenter segmenter)"
-painter world "$day" "${CLEAN:-all}" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)"
-family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
+  options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3
+taller world-tall release-translator "$day" "$pictures" "$(weights world-segmenter segmenter)" world-translator
+networks=("$(weights world-segmenter segmenter)" "$(weights world-tall translator)")
+painter world "$day" "${CLEAN:-all}" "${networks[@]}"
+family world "${networks[@]}" \
   "$(weights world-painter painter)" "$out/towns/test" all Apache-2.0
 
 # Family `streets`: real frames beside towns, from the networks of `world`; segmenter and translator are taught by wide ones.
@@ -90,7 +106,7 @@ stage segmenter fast-segmenter "$kitti" 45 data.train="$often$scans" "${any_dire
   options.teacher="$(weights wide-segmenter segmenter)" networks.segmenter.start="$(weights world-segmenter segmenter)"
 labels=options.segmenter="$(weights segmenter segmenter)"
 stage wide-translator release-translator "$kitti" 75 data.train="$real" training.validate_minutes=0 "$labels" \
-  networks.translator.start="$(weights world-translator translator)"
+  networks.translator.start="$(weights world-tall translator)"
 stage translator fast-translator "$kitti" 90 data.train="$real" training.validate_minutes=0 "$labels" \
   options.teacher="$(weights wide-translator translator)" options.elsewhere_probability=0.35
 # Both go on with scans of other places and sensors, above an HDL-64E's beams too, at any level of remission, and keep half
@@ -102,9 +118,11 @@ stage further-segmenter fast-segmenter "$kitti" 22 data.train="$often$scans$othe
   networks.segmenter.start="$(weights segmenter segmenter)" networks.segmenter.start_share=0.5
 stage further-translator fast-translator "$kitti" 30 data.train="train,train,$real$others" training.validate_minutes=0 \
   options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 \
-  networks.translator.optimizer.rate=5e-4 \
+  networks.translator.optimizer.rate=7e-4 \
   networks.translator.start="$(weights translator translator)" networks.translator.start_share=0.5
-streets=("$(weights further-segmenter segmenter)" "$(weights further-translator translator)")
+taller streets-tall fast-translator "$kitti" "train,$pictures${PLACES:+,$PLACES}" \
+  "$(weights further-segmenter segmenter)" further-translator
+streets=("$(weights further-segmenter segmenter)" "$(weights streets-tall translator)")
 painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}"
 family streets "${streets[@]}" "$(weights streets-painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -72,6 +73,11 @@ def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, sha
     band = bands(scan, steps_deg)
     kept = generator.random(int(band.max(initial=0)) + 1) >= share
     return _subset(scan, kept[band])
+
+
+def drop_above(scan: Scan, elevation_deg: float) -> Scan:
+    """Leave out the points above an elevation, degrees: a sensor whose highest beam is lower."""
+    return _subset(scan, scan.xyz[:, 2] <= math.tan(math.radians(elevation_deg)) * np.hypot(*scan.xyz.T[:2]))
 
 
 def bands(scan: Scan, steps_deg: float) -> np.ndarray:

@@ -17,7 +17,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI
-from lidar2pano.scan import Scan, change_sensor_remission, drop_points, drop_rings, mirror, turn, vary_remission
+from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 from miniature_video import write_video
@@ -217,6 +217,24 @@ def test_dropping_leaves_out_about_the_given_share_with_their_labels():
     assert len(kept.label) == len(kept)
     rings = drop_rings(scan, np.random.default_rng(0), 0.8, 0.5)
     assert 0.2 * len(scan) < len(rings) < 0.8 * len(scan)
+
+
+def test_a_sensor_whose_beams_end_lower_has_lost_the_points_above():
+    xyz = np.array([[10, 0, 0.5], [0, -10, 0.52], [3, 4, 0.44], [0, 10, -3], [10, 0, 0.53]], np.float32)  # 10 tan(3) = .524
+    scan = Scan(xyz=xyz, remission=np.arange(5, dtype=np.float32) / 10, label=np.arange(5))
+    lower = drop_above(scan, 3.0)
+    assert lower.label is not None
+    assert lower.label.tolist() == [0, 1, 3]
+    assert np.array_equal(lower.xyz, xyz[[0, 1, 3]])
+    assert np.allclose(lower.remission, [0, 0.1, 0.3])
+
+
+def test_beams_end_lower_in_some_crops(root):
+    samples = PanoramaDataset(root, ("train",), RASTER, columns=160)
+    rows = torch.arange(RASTER.rows)
+    tops = [rows[samples[SampleIndex(0, seed)].range_image[0].any(1)].min().item() for seed in range(100)]
+    highest = rows[samples[0].range_image[0].any(1)].min().item()
+    assert 10 < sum(top > highest + 2 for top in tops) < 50
 
 
 def test_front_samples_speak_common_14_without_sky(root):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.titan_pano import evidence, with_rows
+from lidar2pano.models.titan_pano import continued, evidence, with_rows
 from lidar2pano.views import VIEWS
 
 
@@ -312,6 +313,24 @@ def test_a_row_is_numbered_by_its_elevation():
                 assert torch.lerp(before, after, place % 1) == pytest.approx(number, abs=1e-5)
     tall = evidence(with_rows(torch.rand(1, 5, 400, 32), VIEWS["panorama-tall"].scaled(0.5)))[0, 4, 80:272]
     assert torch.allclose(tall, evidence(image)[0, 4], atol=1e-6)
+
+
+def test_where_no_point_is_the_nearest_one_of_the_column_is_read() -> None:
+    torch.manual_seed(0)
+    channels = torch.rand(2, 5, 13, 9)
+    channels[:, 3] = torch.rand(2, 13, 9) < 0.2
+    channels[:, 3, :, 4] = 0
+    channels[:, :3] *= channels[:, 3:4]
+    classes = torch.nn.functional.one_hot(torch.randint(3, (2, 13, 9)), 3).movedim(3, 1).float()
+    both = torch.cat([channels, classes], 1)
+    joined = continued(channels, classes)
+    assert torch.equal(joined[:, :8], both)
+    for sample, row, column in itertools.product(range(2), range(13), range(9)):
+        points = [r for r in range(13) if channels[sample, 3, r, column]]
+        nearest = min(points, key=lambda r: (abs(r - row), -r), default=12)  # of equal ones the lower
+        copied = both[sample, :, nearest, column].clone()
+        copied[3] = 1 / (1 + abs(nearest - row)) if points else 0.0
+        assert torch.allclose(joined[sample, 8:, row, column], copied)
 
 
 @pytest.mark.parametrize("network", ["salsanext", "titan", "titan-next", "titan-pano", "pix2pix"])

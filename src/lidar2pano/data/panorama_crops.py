@@ -28,9 +28,10 @@ from lidar2pano.data.range_images import COARSE_BAND_DEG
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.scan import Scan, change_sensor_remission, drop_points, drop_rings
+from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings
 from lidar2pano.views import View
 
+HIGHEST_DEG = (-4.0, 11.0)  # elevations of highest beams: an HDL-64E's lies at 2, an HDL-32E's at 10.7
 SHIFT_PX = 24  # how far left or right of the camera's middle a crop may begin
 
 
@@ -141,6 +142,8 @@ class PanoramaDataset:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
             scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
+        if generator.random() < 0.3:
+            scan = drop_above(scan, generator.uniform(*HIGHEST_DEG))
         if self.sensors and generator.random() < 0.5:
             scan = change_sensor_remission(scan, generator, self.sensors)
         sample = self._sample(window, scan, frame.name, self._start(window, generator))

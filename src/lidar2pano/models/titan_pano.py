@@ -4,7 +4,8 @@ TITAN-Net (Cortinhal et al. 2021) on a cylinder around the camera, in place of t
 `titan`, each with its reason: nothing is squeezed to one channel before fusion (the published generator loses 24 of 25
 channels there); every convolution pads circularly in azimuth (no seam behind the vehicle, every direction alike);
 a feature pyramid joins the scales and a head predicts depth, as its follow-up TITAN-Next has (Cortinhal et al. 2023);
-positions enter as range and height only, since x and y would tell directions apart.
+positions enter as range and height only, since x and y would tell directions apart; each pixel reads the nearest point
+of its column, too, since walls and trees go on above a sensor's beams, however high these reach.
 
 TITAN-Net, TITAN-Next and Pix2Pix themselves go over the whole turn for the paper's panoramas (section 3.3): in training
 the range view is cut to the camera's field of view; "the full range view image will be only used during the inference
@@ -26,14 +27,15 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
-from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
+from lidar2pano.geometry.rasters import adjacent_rows, pad_azimuth, upsample_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.blocks import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.scene.depth import FAR_M, LOG_FAR, complete_depth
 from lidar2pano.views import FULL_TURN, VIEWS, View
 
-CHANNELS = 5  # of a RangeImage
+CHANNELS = 5  # of a RangeImage, and of `evidence`
+VALID = 3  # of `evidence`: whether a point is there
 STRIDE = 16  # input pixels per pixel of the coarsest level
 PANORAMA = VIEWS["panorama"].scaled(0.5)  # 192 x 2304, the raster of the classes
 OVERLAP = 8  # part of the front view's columns that the turn goes on beyond each of its ends
@@ -61,7 +63,7 @@ class TitanPano(nn.Module):
         super().__init__()
         self.conditions = conditions
         stem, *deeper = widths
-        self.stem = conv_norm_act(5 + conditions, stem)
+        self.stem = conv_norm_act(2 * (CHANNELS + conditions), stem)
         levels, inputs = [], stem
         for depth, width in enumerate(deeper):
             blocks = [conv_norm_act(inputs, width, stride=2), CircularResidual(width, 1, dropout * (depth > 0))]
@@ -89,7 +91,7 @@ class TitanPano(nn.Module):
         """
         if image.shape[-2] % STRIDE or image.shape[-1] % STRIDE:
             raise InputError(f"a panorama of {tuple(image.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
-        fine = self.stem(torch.cat([evidence(image), condition.to(image.dtype)], 1))
+        fine = self.stem(continued(evidence(image), condition.to(image.dtype)))
         features, x = [], fine
         for level in self.levels:
             x = level(x)
@@ -101,6 +103,26 @@ class TitanPano(nn.Module):
         x = self.head(torch.cat([self.shuffle(self.fuse(x)), fine], 1))
         depth_m = torch.expm1(self.depth(x)[:, 0].float().sigmoid() * LOG_FAR)
         return self.classes(x), depth_m
+
+
+def continued(channels: Tensor, condition: Tensor) -> Tensor:
+    """Join `evidence` (B, 5, H, W) and classes (B, C, H, W) with those of each pixel's nearest point of its column.
+
+    Beams end below a camera's picture, and lie apart: surfaces go on between and above them. Returns (B, 2 (5 + C), H, W): all as
+    they are, then those of the nearest point, in place of its channel of points nearness: 1 / (1 + rows to it). In
+    columns without points the lowest pixel stands for it, with nearness 0.
+    """
+    count, _, rows, columns = channels.shape
+    upper, lower = adjacent_rows(channels[:, VALID] > 0)
+    row = torch.arange(rows, device=channels.device)[:, None]
+    upwards = (upper >= 0) & ((lower == rows) | (row - upper < lower - row))
+    source = torch.where(upwards, upper, lower).clamp(max=rows - 1)
+    pixels = torch.cat([channels.movedim(1, 3), condition.movedim(1, 3)], 3)  # rows of memory: copied in no time
+    first = torch.arange(count, device=channels.device)[:, None, None] * rows
+    place = (first + source) * columns + torch.arange(columns, device=channels.device)
+    copied = pixels.flatten(0, 2).index_select(0, place.flatten()).view_as(pixels)
+    copied[..., VALID] /= 1 + (row - source).abs()
+    return torch.cat([pixels, copied], 3).movedim(3, 1)
 
 
 class GlobalContext(nn.Module):

@@ -45,7 +45,7 @@ class PanoramaOptions(TaskOptions):
     columns: int = 576
     lovasz: float = 1.0
     depth: float = 2.0
-    class_weight_exponent: float = 0.5
+    class_weight_exponent: float = 0.25
     segmenter: str = ""
     teacher: str = ""
     distillation: float = 2.0
