@@ -85,8 +85,8 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   are no published scores of panoramas to compare with. The warping error is that of `NAME+steady`, which is given the
   sensor's poses; the ground truth's own is {still}.
 - **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches `streets`, which is
-  therefore measured by the run of its last stage that was not shown the place, and the painter of `world`, whose
-  pictures of it are not scored.
+  therefore measured by a run of its last stages (but for the one of taller panoramas) that was not shown the place, and
+  the painter of `world`, whose pictures of it are not scored.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures; 1 is as far as real images
@@ -94,7 +94,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   Lite0) and, as edge features, those of VGG-16 fine-tuned on edges (HED), on images of full and of half size.
 """
 TEXTS = {
-    "folds": "Streets that the networks have not seen: the release before, and its last stage without each place",
+    "folds": "Streets that the networks have not seen: before the last stages, and after them without each place",
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",
     "evidence": "Evidence beside the translator's classes",
