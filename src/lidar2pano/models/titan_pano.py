@@ -108,9 +108,9 @@ class TitanPano(nn.Module):
 def continued(channels: Tensor, condition: Tensor) -> Tensor:
     """Join `evidence` (B, 5, H, W) and classes (B, C, H, W) with those of each pixel's nearest point of its column.
 
-    Beams end below a camera's picture, and lie apart: surfaces go on between and above them. Returns (B, 2 (5 + C), H, W): all as
-    they are, then those of the nearest point, in place of its channel of points nearness: 1 / (1 + rows to it). In
-    columns without points the lowest pixel stands for it, with nearness 0.
+    Beams end below a camera's picture, and lie apart: surfaces go on between and above them. Returns (B, 2 (5 + C), H,
+    W): all as they are, then those of the nearest point, in place of its channel of points nearness: 1 / (1 + rows to
+    it). In columns without points the lowest pixel stands for it, with nearness 0.
     """
     count, _, rows, columns = channels.shape
     upper, lower = adjacent_rows(channels[:, VALID] > 0)
