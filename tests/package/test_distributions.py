@@ -91,6 +91,10 @@ SIMULATED = {
     "pandar64-centre-scans",
     "pandar64-day",
     "pandar64-scans",
+    "tall-centre",
+    "tall-hdl64e",
+    "tall-os1-128",
+    "tall-pandar64",
     "vlp16-scans",
 }
 

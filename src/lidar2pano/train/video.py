@@ -111,6 +111,13 @@ class PaintedFrame(NamedTuple):
     weight: Tensor
 
 
+class TemporalInput(NamedTuple):
+    """The input of a temporal discriminator: three images and the flows between them, (B, 13, H, W) each."""
+
+    real: Tensor
+    fake: Tensor
+
+
 class VideoLosses:
     """The losses of discriminators and painter, as published.
 
@@ -137,7 +144,7 @@ class VideoLosses:
             )
         return steps
 
-    def updates(self, frame: PaintedFrame, inputs: Mapping[int, tuple[Tensor, Tensor]]) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, frame: PaintedFrame, inputs: Mapping[int, TemporalInput]) -> Iterator[tuple[str, Tensor]]:
         """The image discriminator, the temporal ones, the painter.
 
         inputs  real and painted images of each temporal one (`temporal_input`), by the frames between them.
@@ -271,13 +278,13 @@ class VideoPainting:
             weight=weight,
         )
 
-    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> tuple[Tensor, Tensor]:
+    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> TemporalInput:
         """The camera's last image and two before it, `step` frames apart, and the same of the painted ones."""
         now = PREVIOUS + len(painted) - 1
         flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
         real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
         fake = [painted[-1 - back * step] for back in (2, 1, 0)]
-        return temporal_input(real, flows), temporal_input(fake, flows)
+        return TemporalInput(real=temporal_input(real, flows), fake=temporal_input(fake, flows))
 
     def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """Reference flow of a frame to the frame `step` earlier."""
