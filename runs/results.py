@@ -38,6 +38,7 @@ class Headline(NamedTuple):
 SETS = {
     "val": "KITTI",
     "towns": "towns",
+    "tall": "tall towns",
     "pandaset": "PandaSet",
     "nuscenes": "nuScenes",
     "labelled": "SemanticKITTI",
@@ -84,6 +85,8 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
 - **towns**: {towns} frames of simulated streets that no network was trained on, the only ground truth all around. There
   are no published scores of panoramas to compare with. The warping error is that of `NAME+steady`, which is given the
   sensor's poses; the ground truth's own is {still}.
+- **tall towns**: {tall} frames of simulated town centres as an OS1-128 sees them, from -32 to 24 degrees
+  (`--elevation=-32,24`); no network was trained on them.
 - **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches `streets`, which is
   therefore measured by a run of its last stages (but for the one of taller panoramas) that was not shown the place, and
   the painter of `world`, whose pictures of it are not scored.

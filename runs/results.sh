@@ -6,8 +6,8 @@
 #   FOLDS=   families of the last stage that have not seen a place: FOLDS/without-pandaset, FOLDS/without-k04, ..., and
 #            FOLDS/before, which none of them had taught; MORE=: folder of the places k04, k09 and dgp
 # Without a STEP all run in turn; each writes one file in docs/results:
-#   make-towns  simulate TOWNS, unless it is there
-#   val labelled towns pandaset nuscenes   scores, as CSV
+#   make-towns  simulate TOWNS and TOWNS-tall, unless they are there
+#   val labelled towns tall pandaset nuscenes   scores, as CSV
 #   folds                                  classes on streets that a run has not seen
 #   beams remission                        scores with fewer beams and without remission
 #   times                                  milliseconds on this machine
@@ -25,10 +25,15 @@ text() { # STEP COMMAND...
 }
 step() {
   case $1 in
-    make-towns) [ -d "$towns" ] || lidar2pano world "$towns" --sequences 5 --frames 4 --hz 10 --seed 909 ;;
+    make-towns)
+      [ -d "$towns" ] || lidar2pano world "$towns" --sequences 5 --frames 4 --hz 10 --seed 909
+      [ -d "$towns-tall" ] || lidar2pano world "$towns-tall" --sensor os1-128 --place centre --sequences 6 --frames 1 \
+        --seed 71501 --view panorama-tall/2
+      ;;
     val) scores val streets world --data "$kitti" --split val ;;
     labelled) scores labelled world --data "$kitti" --split labelled --metrics points ;;
     towns) scores towns streets streets+steady world world+steady --data "$towns" --split all ;;
+    tall) scores tall streets world --data "$towns-tall" --split all --elevation=-32,24 --metrics classes,depth,panorama ;;
     pandaset) (cd "$FOLDS" && scores pandaset without-pandaset world --data "$pandaset" --split all) ;;
     folds)
       (cd "$FOLDS" && text folds lidar2pano evaluate before "without-{fold}" --metrics classes \
@@ -42,6 +47,6 @@ step() {
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
 }
-for each in "${@:-make-towns val labelled towns pandaset nuscenes folds beams remission times page}"; do
+for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds beams remission times page}"; do
   for name in $each; do step "$name"; done
 done
