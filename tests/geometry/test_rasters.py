@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
 import torch
 from torch.nn.functional import max_pool2d
@@ -13,6 +15,7 @@ from lidar2pano.geometry.rasters import (
     indices_of,
     largest_around,
     likeliest,
+    nearest_row,
     select,
     upsample_azimuth,
 )
@@ -61,3 +64,13 @@ def test_the_largest_around_a_pixel_is_max_pooling(size):
 def test_indices_are_those_of_a_mask():
     mask = torch.rand(50, generator=torch.Generator().manual_seed(7)) > 0.5
     assert torch.equal(indices_of(mask), mask.nonzero()[:, 0])
+
+
+def test_the_nearest_pixel_of_a_column_is_found():
+    mask = torch.rand(2, 13, 9, generator=torch.Generator().manual_seed(0)) < 0.2
+    mask[0, :, 4] = False
+    found = nearest_row(mask)
+    for sample, row, column in product(range(2), range(13), range(9)):
+        rows = mask[sample, :, column].nonzero()[:, 0].tolist()
+        wanted = min(rows, key=lambda r: (abs(r - row), -r), default=12)  # of equal ones the lower
+        assert found[sample, row, column] == wanted

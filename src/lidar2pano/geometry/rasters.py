@@ -63,6 +63,18 @@ def adjacent_rows(mask: Tensor) -> tuple[Tensor, Tensor]:
     return upper_row.long().sub_(1), lower_row.flip(-2).long().neg_().add_(rows)
 
 
+def nearest_row(mask: Tensor) -> Tensor:
+    """Return the row (..., H, W) of the set pixel nearest to each pixel of a mask in its column.
+
+    Of equally near ones the lower; in columns without any the last row.
+    """
+    rows = mask.shape[-2]
+    upper, lower = adjacent_rows(mask)
+    row = torch.arange(rows, device=mask.device)[:, None]
+    upwards = (upper >= 0) & ((lower == rows) | (row - upper < lower - row))
+    return torch.where(upwards, upper, lower).clamp(max=rows - 1)
+
+
 def pad_azimuth(x: Tensor, reach: int, margin: int = 0) -> Tensor:
     """Add `reach` columns of the other end to each side of (B, C, H, W): (B, C, H, W + 2 reach).
 

@@ -27,7 +27,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
-from lidar2pano.geometry.rasters import adjacent_rows, pad_azimuth, upsample_azimuth
+from lidar2pano.geometry.rasters import nearest_row, pad_azimuth, upsample_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.blocks import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.salsanext import IMAGE_SIZE
@@ -113,10 +113,7 @@ def continued(channels: Tensor, condition: Tensor) -> Tensor:
     it). In columns without points the lowest pixel stands for it, with nearness 0.
     """
     count, _, rows, columns = channels.shape
-    upper, lower = adjacent_rows(channels[:, VALID] > 0)
-    row = torch.arange(rows, device=channels.device)[:, None]
-    upwards = (upper >= 0) & ((lower == rows) | (row - upper < lower - row))
-    source = torch.where(upwards, upper, lower).clamp(max=rows - 1)
+    source, row = nearest_row(channels[:, VALID] > 0), torch.arange(rows, device=channels.device)[:, None]
     pixels = torch.cat([channels.movedim(1, 3), condition.movedim(1, 3)], 3)  # rows of memory: copied in no time
     first = torch.arange(count, device=channels.device)[:, None, None] * rows
     place = (first + source) * columns + torch.arange(columns, device=channels.device)

@@ -36,7 +36,7 @@ from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.torch_files import read_tensors
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
-from lidar2pano.geometry.rasters import adjacent_rows
+from lidar2pano.geometry.rasters import nearest_row
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR
@@ -364,11 +364,8 @@ def without_gaps(picture: Tensor, coverage: Tensor) -> Tensor:
     columns = coverage.any(0).nonzero()[:, 0]
     if not len(columns):
         return picture
-    rows = torch.arange(coverage.shape[0])
     shown = coverage[:, columns]
-    upper, lower = adjacent_rows(shown)
-    is_lower = (lower < len(rows)) & ((upper < 0) | (lower - rows[:, None] < rows[:, None] - upper))
-    source = torch.where(is_lower, lower, upper).clamp(0, len(rows) - 1)
+    source = len(shown) - 1 - nearest_row(shown.flip(0)).flip(0)  # of equally near ones the upper
     filled = picture[:, :, columns].gather(1, source.expand(len(picture), -1, -1))
     nearest = (torch.arange(coverage.shape[1])[:, None] - columns).abs().argmin(1)
     return filled[:, :, nearest]
