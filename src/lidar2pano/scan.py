@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -77,7 +76,7 @@ def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, sha
 
 def drop_above(scan: Scan, elevation_deg: float) -> Scan:
     """Leave out the points above an elevation, degrees: a sensor whose highest beam is lower."""
-    return _subset(scan, scan.xyz[:, 2] <= math.tan(math.radians(elevation_deg)) * np.hypot(*scan.xyz.T[:2]))
+    return _subset(scan, _elevations_deg(scan) <= elevation_deg)
 
 
 def bands(scan: Scan, steps_deg: float) -> np.ndarray:
@@ -85,8 +84,7 @@ def bands(scan: Scan, steps_deg: float) -> np.ndarray:
 
     NaN points are in the nadir's.
     """
-    elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
-    return np.floor((np.nan_to_num(elevation, nan=-90.0) + 90) / steps_deg).astype(np.int64)
+    return np.floor((np.nan_to_num(_elevations_deg(scan), nan=-90.0) + 90) / steps_deg).astype(np.int64)
 
 
 def mirror(scan: Scan) -> Scan:
@@ -132,6 +130,10 @@ def remission_curve(generator: np.random.Generator, octaves: float) -> Callable[
     """Draw the rising curve 2**a remission**(2**b) of `change_sensor_remission`, for arrays or tensors in [0, 1]."""
     level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
     return lambda remission: remission**2.0**curve * 2.0**level
+
+
+def _elevations_deg(scan: Scan) -> np.ndarray:
+    return np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
 
 
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:
