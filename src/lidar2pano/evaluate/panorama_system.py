@@ -147,12 +147,11 @@ class PanoramaSystem:
             if not inputs.colours:
                 moved = replace(moved, painter=NoPainter())
             own_timer = Timer(pipeline.device) if number else timer
-            own_memory = memories.get(name, Memory())
-            moved = moved.fitted(inputs.scan, own_memory)
+            memory_before = memories.get(name, Memory())
+            moved = moved.fitted(inputs.scan, memory_before)
             scene, panorama = moved.translate(inputs.scan, own_timer), None
             pose = inputs.pose if self.steady else None
-            own_memory, scene = moved.remember(own_memory, scene, pose, own_timer)
-            memories[name] = replace(own_memory, view=moved.view if moved.fits else None)
+            memories[name], scene = moved.remember(memory_before, scene, pose, own_timer)
             if inputs.colours or name == "panorama" or (len(viewpoints) == 1 and inputs.origin is not None):
                 memories[name], panorama = moved.paint(memories[name], scene, own_timer)
             views[name] = _View(scene, panorama)

@@ -233,12 +233,13 @@ def system(
     if not elevation:
         return _system(parts, device, sensor, engine)
     elevation_range(elevation)
-    one = _system(parts, device, sensor, engine)
-    if not isinstance(one, PanoramaSystem):
+    usual = _system(parts, device, sensor, engine)
+    if not isinstance(usual, PanoramaSystem):
         raise InputError(
-            f"{one.info.name}: elevation {elevation!r} is of panoramas; these predict a camera's image, so leave it out"
+            f"{usual.info.name}: elevation {elevation!r} is of panoramas; these predict a camera's image,"
+            " so leave it out"
         )
-    return replace(one, pipeline=one.pipeline.reaching(elevation))
+    return replace(usual, pipeline=usual.pipeline.reaching(elevation))
 
 
 def _system(parts: list[str], device: str, sensor: str, engine: str) -> System:

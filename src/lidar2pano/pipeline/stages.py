@@ -313,6 +313,7 @@ class Pipeline:
         pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, classes and depths are averaged over time
               (memory.fused), and so is the image (memory.smoothed). Without it the stream begins again.
         """
+        memory = replace(memory, view=self.view if self.fits else None)
         if pose is None:
             return replace(memory, around=None, previous=None), scene
         with timer("fuse"):
@@ -344,8 +345,7 @@ class Pipeline:
         if real:
             with timer("cameras"):
                 panorama = compose(panorama, real)
-        decided = self.view if self.fits else None
-        return replace(memory, frames=memory.frames + 1, view=decided, painted=painted), panorama
+        return replace(memory, frames=memory.frames + 1, painted=painted), panorama
 
     def _densified(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
         """Return the scan and its image with points between the beams; and the scan's point of each."""
