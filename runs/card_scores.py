@@ -1,4 +1,4 @@
-"""Write the scores of docs/results into the cards of the released families, and their pages: runs/card_scores.py.
+"""Write the scores of docs/results beside the released weights, and the families' pages: runs/card_scores.py.
 
 A family's scores are those of the set that is like what it is for: `world` in towns, all others on KITTI's `val`.
 """
@@ -9,7 +9,7 @@ import runpy
 from dataclasses import replace
 from pathlib import Path
 
-from lidar2pano.models.card import Card, load, save
+from lidar2pano.models.card import read_card, write_scores
 from lidar2pano.models.families import families, weight_files
 from lidar2pano.models.hub import PAGE, model_page
 
@@ -36,15 +36,14 @@ def measured(family: str, role: str) -> dict[str, float | str]:
 
 
 def main() -> None:
-    """Write every card whose scores are others, and every page."""
+    """Write every family's scores and its page."""
     for family in RESULTS["FAMILIES"]:
-        cards: dict[str, Card] = {}
-        for role, file in weight_files(family).items():
-            network, card = load(file)
-            if card.score != measured(family, role):
-                card = save(file, network, replace(card, score=measured(family, role)))
-            cards[role] = card
-        (families()[family] / PAGE).write_text(model_page(family, cards), encoding="utf-8")
+        folder = families()[family]
+        cards = {
+            role: replace(read_card(file), score=measured(family, role)) for role, file in weight_files(family).items()
+        }
+        write_scores(folder, cards.values())
+        (folder / PAGE).write_text(model_page(family, cards), encoding="utf-8")
 
 
 if __name__ == "__main__":

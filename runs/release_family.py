@@ -1,4 +1,4 @@
-"""Put a trained family into the package: the weights, with licence and measured score in their cards, and their page.
+"""Put a trained family into the package: the weights, with licence in their cards, measured scores, and their page.
 
 python runs/release_family.py FOLDER NAME SCORES.json --licence SPDX
 FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what
@@ -12,7 +12,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from lidar2pano.models.card import load, save
+from lidar2pano.models.card import load, save, write_scores
 from lidar2pano.models.families import RELEASED, families, weight_files
 from lidar2pano.models.hub import PAGE, model_page
 
@@ -30,9 +30,9 @@ def main() -> None:
     cards = {}
     for role, file in weight_files(arguments.folder).items():
         network, card = load(file)
-        score = {name: value for name, value in card.score.items() if name != "score"} | measured.get(role, {})
-        card = replace(card, licence=arguments.licence, score=score)
-        cards[role] = save(home / f"{role}.safetensors", network, card)
+        card = save(home / f"{role}.safetensors", network, replace(card, licence=arguments.licence))
+        cards[role] = replace(card, score=measured.get(role, {}))
+    write_scores(home, cards.values())
     (home / PAGE).write_text(model_page(arguments.name, cards), encoding="utf-8")
 
 

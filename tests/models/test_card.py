@@ -18,7 +18,7 @@ from safetensors.torch import load_file, save_file
 from lidar2pano.errors import InputError
 from lidar2pano.formats import torch_files
 from lidar2pano.models import build, card
-from lidar2pano.models.card import Card, load, read_card, save
+from lidar2pano.models.card import Card, load, read_card, save, write_scores
 
 FULL = Card(
     network="titan-critic",
@@ -300,3 +300,26 @@ def test_what_is_finite(dtype: torch.dtype) -> None:
         assert not card._is_finite(values)
         values[5] = -bad  # the two do not cancel out
         assert not card._is_finite(values)
+
+
+def test_scores_beside_a_file_are_those_of_its_tensors(tmp_path: Path) -> None:
+    _, written = _written(tmp_path / "weights.safetensors")
+    _, other = _written(tmp_path / "other.safetensors", score={})
+    before = (tmp_path / "weights.safetensors").read_bytes()
+    write_scores(tmp_path, [replace(written, score={"split": "09", "miou": 0.6})])
+    assert (tmp_path / "weights.safetensors").read_bytes() == before
+    assert json.loads((tmp_path / "scores.json").read_text()) == {
+        "scores": {written.sha256: {"split": "09", "miou": 0.6}}
+    }
+    measured = replace(written, score={"split": "09", "miou": 0.6})
+    assert read_card(tmp_path / "weights.safetensors") == load(tmp_path / "weights.safetensors")[1] == measured
+    assert other.sha256 != written.sha256 and read_card(tmp_path / "other.safetensors").score == {}
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"scores": {"a": 1}}', '{"scores": {}, "more": 1}', "{}"])
+def test_broken_scores_beside_a_file_are_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    _written(tmp_path / "weights.safetensors")
+    (tmp_path / "scores.json").write_text(text)
+    with pytest.raises(InputError, match=r"scores\.json.*remove it") as caught:
+        read_card(tmp_path / "weights.safetensors")
+    assert "\n" not in str(caught.value)

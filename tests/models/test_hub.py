@@ -151,7 +151,7 @@ def test_what_is_saved_is_what_was_loaded(random_weights, tmp_path):
     (source / "LICENSE").write_text("mine\n")
     assert load(source, "cpu").save_pretrained(out) is None
     names = sorted(path.name for path in source.glob("*.safetensors"))
-    assert sorted(path.name for path in out.iterdir()) == sorted([*names, "LICENSE", PAGE])
+    assert sorted(path.name for path in out.iterdir()) == sorted([*names, "LICENSE", PAGE, "scores.json"])
     assert all((out / name).read_bytes() == (source / name).read_bytes() for name in [*names, "LICENSE"])
     page = (out / PAGE).read_text()
     assert header_of(page)["license"] == "cc-by-nc-sa-4.0" and "# my-streets" in page
@@ -202,7 +202,7 @@ def test_an_upload_has_the_files_of_a_folder(random_weights, tmp_path, monkeypat
     monkeypatch.setattr(hub, "HfApi", Api)
     pipeline = load(random_weights, "cpu")
     address = pipeline.push_to_hub("someone/streets", private=True, token="t", branch="b", ignore_patterns="*.md")
-    files = [PAGE, *sorted(path.name for path in random_weights.glob("*.safetensors"))]
+    files = sorted([PAGE, "scores.json", *(path.name for path in random_weights.glob("*.safetensors"))])
     assert address == "https://hub/commit/1" and calls == [
         ("token", "t"),
         ("someone/streets", {"private": True, "exist_ok": True}),

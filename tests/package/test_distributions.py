@@ -62,6 +62,7 @@ def test_the_streets_are_weights_alone(wheels):
         "__init__.py",
         "LICENSE",
         "README.md",
+        "scores.json",
         *(f"{role}.safetensors" for role in ("segmenter", "translator", "painter")),
     }
 

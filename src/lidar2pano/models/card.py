@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -19,13 +19,16 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.image_files import write_whole
-from lidar2pano.formats.json_files import parse_json, validated
+from lidar2pano.formats.image_files import write_text, write_whole
+from lidar2pano.formats.json_files import parse_json, read_json, validated
 from lidar2pano.formats.torch_files import read_weights
 from lidar2pano.labels import LABEL_SETS
 from lidar2pano.models import MODELS, build
 from lidar2pano.views import MOST_PIXELS
 
+SCORES = (
+    "scores.json"  # beside weight files, so that measuring leaves them as they are: checksum of the tensors -> score
+)
 # Most calls of torch's functions while a network is built; ours make 4 to 33 calls a tensor.
 MOST_CALLS, CALLS_PER_TENSOR = 2000, 40
 
@@ -41,7 +44,7 @@ class Card:
     normalisation  of the input, e.g. {"mean": [...], "std": [...]}
     recipe         name of the training recipe; commit of this project at the time
     data           training data; steps: number of batches; device; hours of training
-    score          measured quality, by name, with the split it was measured on
+    score          measured quality, by name, with the split it was measured on; that of SCORES beside the file, if any
     licence        of the weights; upstream: address of its publisher
     sha256         checksum of the tensors; `save` fills it in
     """
@@ -134,9 +137,29 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
     if not isinstance(text, str):
         raise InputError(f"{path} has no card, so lidar2pano did not write it; fetch or make it again")
     try:
-        return Card.from_json(text), tensors
+        card = Card.from_json(text)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    return replace(card, score=_scores_beside(Path(path)).get(card.sha256, card.score)), tensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scores:
+    scores: dict[str, dict]  # by checksum
+
+
+def write_scores(folder: Path, cards: Iterable[Card]) -> None:
+    """Write the scores of cards into a folder's file SCORES, where `read_card` and `load` find them."""
+    content = asdict(_Scores(scores={card.sha256: card.score for card in cards if card.score}))
+    write_text(folder / SCORES, json.dumps(content, indent=1, allow_nan=False) + "\n", "folder")
+
+
+def _scores_beside(path: Path) -> dict[str, dict]:
+    """Return the scores in the file SCORES beside a weight file, by the checksum of the tensors; none without it."""
+    if not (file := path.with_name(SCORES)).is_file():
+        return {}
+    mend = "remove it, or fetch it again"
+    return validated(_Scores, read_json(file, mend), str(file), mend).scores
 
 
 class _Uninitialised(TorchFunctionMode):

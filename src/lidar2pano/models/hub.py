@@ -14,7 +14,7 @@ from lidar2pano.bounded_files import name_of_open, open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_text, write_whole
 from lidar2pano.formats.json_files import front_matter
-from lidar2pano.models.card import Card, read_card
+from lidar2pano.models.card import SCORES, Card, read_card, write_scores
 from lidar2pano.models.families import families
 
 LICENCES = (
@@ -43,7 +43,7 @@ pipeline("scan.bin").save("panoramas")
 ```
 """
 REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
-FETCHED = ["*.safetensors", "LICENSE*", "README.md"]  # nothing else of a repository: no pickles, no programs
+FETCHED = ["*.safetensors", SCORES, "LICENSE*", "README.md"]  # nothing else of a repository: no pickles, no programs
 PAGE = "README.md"
 
 
@@ -146,7 +146,7 @@ def hub_folder(  # noqa: PLR0917 the mixin's keywords
 
 
 def write_family(folder: Path, files: Mapping[str, Path], cards: Mapping[str, Card]) -> None:
-    """Write weight files by role, their LICENSE and their page into a folder; a page that is there stays.
+    """Write weight files by role, their LICENSE, scores and page into a folder; a page that is there stays.
 
     cards  as they were when the files were read. Raises InputError where a file is another by now, the folder holds
     other weights, and where it cannot be written.
@@ -162,6 +162,8 @@ def write_family(folder: Path, files: Mapping[str, Path], cards: Mapping[str, Ca
     licences = dict(_licences(files))
     for name, source in [(names[role], file) for role, file in files.items()] + list(licences.items()):
         write_whole(folder / name, lambda part, source=source: _copy(source, part), "folder")
+    if any(card.score for card in every_card.values()):
+        write_scores(folder, every_card.values())
     if not (folder / PAGE).exists():
         text = model_page(folder.resolve().name, every_card)
         write_text(folder / PAGE, text, "folder")
