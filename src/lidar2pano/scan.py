@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -106,6 +106,30 @@ def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, floa
     )
 
 
+def tilt(scan: Scan, azimuth: float, angle: float) -> Scan:
+    """Lean the sensor towards an azimuth by `angle`, both in radians: what lies there rises in its frame."""
+    across, up = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
+    ahead, cos, sin = np.cross(across, up), np.cos(angle), np.sin(angle)
+    R = np.outer(across, across) + np.outer(ahead, cos * ahead - sin * up) + np.outer(up, cos * up + sin * ahead)
+    return replace(scan, xyz=scan.xyz @ R.T.astype(np.float32))
+
+
+def mix(scan: Scan, other: Scan, generator: np.random.Generator, pasted: Sequence[int]) -> Scan:
+    """Swap a half-turn of a labelled scan for the other's, and paste the other's points of some classes, turned.
+
+    PolarMix (Xiao et al. 2022), with its three copies, each turned by up to a full turn. Beams and times are left out.
+    """
+    middle = generator.uniform(-np.pi, np.pi)
+    parts = [_subset(scan, ~_ahead(scan, middle)), _subset(other, _ahead(other, middle))]
+    things = _subset(other, np.isin(_labels(other), pasted))
+    parts += [turn(things, generator.uniform(-np.pi, np.pi)) for _ in range(3)]
+    xyz, remission, label = (
+        np.concatenate(values)
+        for values in zip(*((part.xyz, part.remission, _labels(part)) for part in parts), strict=True)
+    )
+    return Scan(xyz=xyz, remission=remission, label=label, name=scan.name, gaps_deg=scan.gaps_deg)
+
+
 def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> Scan:
     """Another sensor's scale of remission: all times 1 +- reach, and up to a fifth of `reach` more or less."""
     factor, offset = generator.uniform(1 - reach, 1 + reach), generator.uniform(-reach, reach) / 5
@@ -130,6 +154,15 @@ def remission_curve(generator: np.random.Generator, octaves: float) -> Callable[
     """Draw the rising curve 2**a remission**(2**b) of `change_sensor_remission`, for arrays or tensors in [0, 1]."""
     level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
     return lambda remission: remission**2.0**curve * 2.0**level
+
+
+def _ahead(scan: Scan, azimuth: float) -> np.ndarray:
+    return scan.xyz[:, 0] * np.cos(azimuth) + scan.xyz[:, 1] * np.sin(azimuth) > 0
+
+
+def _labels(scan: Scan) -> np.ndarray:
+    assert scan.label is not None
+    return scan.label
 
 
 def _elevations_deg(scan: Scan) -> np.ndarray:

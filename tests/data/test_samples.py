@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -17,7 +19,18 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI
-from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings, mirror, turn, vary_remission
+from lidar2pano.scan import (
+    Scan,
+    change_sensor_remission,
+    drop_above,
+    drop_points,
+    drop_rings,
+    mirror,
+    mix,
+    tilt,
+    turn,
+    vary_remission,
+)
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 from miniature_video import write_video
@@ -150,6 +163,68 @@ def test_a_turned_scan_projects_to_the_shifted_range_image():
     scan = street(4)
     plain, turned = (project(s, VIEWS["hdl64e"]).valid for s in (scan, turn(scan, 2 * np.pi * 100 / 2048)))
     assert (plain.roll(-100, -1) != turned).float().mean() < 1e-3
+
+
+def test_what_lies_where_a_sensor_leans_rises_in_its_frame():
+    points = np.array([[10, 0, 0], [0, 10, 0], [-10, 0, 0], [0, -10, 0], [0, 0, 2]], np.float32)
+    scan = Scan(xyz=points, remission=np.zeros(5, np.float32))
+    s, c = np.sin(0.1), np.cos(0.1)
+    ahead = [[10 * c, 0, 10 * s], [0, 10, 0], [-10 * c, 0, -10 * s], [0, -10, 0], [-2 * s, 0, 2 * c]]
+    assert np.allclose(tilt(scan, 0.0, 0.1).xyz, ahead, atol=1e-5)
+    assert np.allclose(tilt(scan, np.pi / 2, 0.1).xyz[1], [0, 10 * c, 10 * s], atol=1e-5)
+    anywhere = street(5)
+    there_and_back = tilt(tilt(anywhere, 1.0, 0.08), 1.0 + np.pi, 0.08)
+    assert np.allclose(there_and_back.xyz, anywhere.xyz, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mixed_scans_are_half_turns_of_two_and_turned_things_of_the_other(seed):
+    scan, other = street(3), replace(street(4), remission=street(4).remission + 2)  # tells the two apart
+    assert scan.label is not None and other.label is not None
+    mixed = mix(scan, other, np.random.default_rng(seed), (HOUSE,))
+    generator = np.random.default_rng(seed)
+    middle, *angles = (generator.uniform(-np.pi, np.pi) for _ in range(4))
+    parts = []
+    for one, wanted in ((scan, False), (other, True)):
+        away = (np.arctan2(one.xyz[:, 1], one.xyz[:, 0]) - middle + np.pi) % (2 * np.pi) - np.pi
+        there = (np.abs(away) < np.pi / 2) == wanted
+        parts.append((one.xyz[there], one.remission[there], one.label[there]))
+    things = other.label == HOUSE
+    for angle in angles:
+        place = (other.xyz[things, 0] + 1j * other.xyz[things, 1]) * np.exp(1j * angle)
+        parts.append((np.stack([place.real, place.imag, other.xyz[things, 2]], 1), other.remission[things], other.label[things]))
+    xyz, remission, label = (np.concatenate(values) for values in zip(*parts, strict=True))
+    assert np.allclose(mixed.xyz, xyz, atol=1e-4)
+    assert np.array_equal(mixed.remission, remission) and np.array_equal(mixed.label, label)
+    assert 0.2 < (mixed.remission < 2).sum() / len(scan) < 0.8, "some of the scan stays"
+
+
+@pytest.mark.parametrize(("mixed", "expected"), [(0.0, 0.0), (0.5, 1 / 3), (1.0, 2 / 3)])
+def test_a_share_of_the_samples_is_mixed_with_any_of_three_scans(root, mixed, expected):
+    samples = RangeImageDataset(
+        root, ("train",), VIEWS["hdl64e"], augmentation=ScanAugmentation(chance=0.0, mixed=mixed)
+    )
+    own = (torch.from_numpy(samples.scan(0).remission) - 0.21) / 0.16
+    made = [samples[SampleIndex(0, seed)].lidar[4] for seed in range(60)]
+    strange = [not torch.isin(remission[remission != 0], own).all() for remission in made]
+    assert np.mean(strange) == pytest.approx(expected, abs=0.15)
+
+
+def test_sensors_stand_higher_or_lower_and_lean():
+    scan = street(5)
+    by = ScanAugmentation(chance=0.0, turn_deg=0.0, moves=False, places=0.5)
+    generator = np.random.default_rng(0)
+    made = [augmented(scan, generator, by).xyz for _ in range(200)]
+    higher = np.array([xyz[:, 2].mean() - scan.xyz[:, 2].mean() for xyz in made])
+    same = [np.array_equal(np.abs(xyz), np.abs(scan.xyz)) for xyz in made]
+    assert 0.15 < np.mean(same) < 0.35
+    assert higher.min() < -0.9 and higher.max() > 0.9 and np.abs(higher).max() < 1.5
+    leaning = []
+    for xyz in made:
+        ground = scan.label == ROAD
+        (a, b, _), *_ = np.linalg.lstsq(np.c_[xyz[ground, :2], np.ones(ground.sum())], xyz[ground, 2], rcond=None)
+        leaning.append(np.degrees(np.arctan(np.hypot(a, b))))
+    assert 0.4 < np.mean(np.array(leaning) > 0.1) < 0.6 and 4 < max(leaning) < 5.2
 
 
 def test_another_scale_of_remission_keeps_points_order_and_range():

@@ -23,7 +23,9 @@ from lidar2pano.scan import (
     drop_points,
     drop_rings,
     mirror,
+    mix,
     shift,
+    tilt,
     turn,
     vary_remission,
 )
@@ -34,6 +36,12 @@ from lidar2pano.views import VIEWS, View
 # Heights of the bands of elevation left out by two augmentations.
 HDL64E_BEAM_DEG = 0.42  # of one beam: between neighbours of an HDL-64E's 64 beams within 26.8 degrees
 COARSE_BAND_DEG = 0.8  # of about two beams
+MOST_HIGHER_M = 1.2  # than a car's roof at 1.7 m: from a small robot's mast to a lorry's cab
+MOST_LEANING_DEG = 5.0
+PASTED = tuple(
+    SEMANTIC_KITTI.id_of(name)
+    for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person", "bicyclist", "motorcyclist")
+)
 PLAIN = Normalisation()
 
 
@@ -62,6 +70,9 @@ class ScanAugmentation:
     no_remission  probability of no remission, as of some sensors.
     sensors   largest change of level, in octaves, of half of the scans: remission as another make of sensor has it
               (scan.change_sensor_remission); 0: none.
+    mixed     probability of a half-turn and of things of another scan (scan.mix).
+    places    probability of each of a sensor standing up to MOST_HIGHER_M higher or lower, and leaning by up to
+              MOST_LEANING_DEG; of scans as high as their beams still lie nearly in rows.
     """
 
     turn_deg: float = 180.0
@@ -71,6 +82,8 @@ class ScanAugmentation:
     rings: float = 0.0
     no_remission: float = 0.0
     sensors: float = 0.0
+    mixed: float = 0.0
+    places: float = 0.0
 
 
 class RangeImageDataset:
@@ -122,7 +135,10 @@ class RangeImageDataset:
         if isinstance(key, int):
             return self._sample(self.scan(key), self.frames[key].name)
         generator = np.random.default_rng(key.seed)
-        scan = augmented(self.scan(key.index), generator, self.augmentation)
+        scan = self.scan(key.index)
+        if self.augmentation.mixed and generator.random() < self.augmentation.mixed:
+            scan = mix(scan, self.scan(int(generator.integers(len(self)))), generator, PASTED)
+        scan = augmented(scan, generator, self.augmentation)
         sample = self._sample(scan, self.frames[key.index].name)
         start = int(generator.integers(self.view.columns - self.columns + 1))
         window = (..., slice(start, start + self.columns))
@@ -162,6 +178,10 @@ def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugm
         scan = drop_rings(scan, generator, HDL64E_BEAM_DEG, generator.uniform(0, 0.75))
     if augmentation.moves and generator.random() < augmentation.chance:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
+    if augmentation.places and generator.random() < augmentation.places:
+        scan = shift(scan, generator, (0.0, 0.0, MOST_HIGHER_M))
+    if augmentation.places and generator.random() < augmentation.places:
+        scan = tilt(scan, generator.uniform(-np.pi, np.pi), np.radians(generator.uniform(0, MOST_LEANING_DEG)))
     if generator.random() < 0.5:
         scan = mirror(scan)
     if generator.random() < augmentation.chance:

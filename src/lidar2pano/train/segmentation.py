@@ -59,6 +59,8 @@ class SegmentationOptions(TaskOptions):
     ring_drop_probability  of leaving out up to three quarters of the beams.
     remission_drop_probability  of a scan without remission.
     remission_octaves      of half of the scans: largest change of remission's level, as of another make of sensor.
+    mix_probability        of a half-turn and things of another scan (PolarMix).
+    place_probability      of each of a sensor standing higher or lower, and leaning.
     lovasz                 weight of Lovasz-Softmax beside the cross-entropy.
     class_weight_exponent,
     class_weight_least,
@@ -79,6 +81,8 @@ class SegmentationOptions(TaskOptions):
     ring_drop_probability: float = 0.0
     remission_drop_probability: float = 0.0
     remission_octaves: float = 0.0
+    mix_probability: float = 0.0
+    place_probability: float = 0.0
     lovasz: float = 1.0
     class_weight_exponent: float = 0.5
     class_weight_least: float = 1e-5
@@ -108,6 +112,8 @@ class Segmentation:
             rings=options.ring_drop_probability,
             no_remission=options.remission_drop_probability,
             sensors=options.remission_octaves,
+            mixed=options.mix_probability,
+            places=options.place_probability,
         )
         self.tallest = view_of(options.tallest) if options.tallest else None
         if self.tallest is not None and recipe.training.batch != recipe.training.accumulate:
