@@ -24,11 +24,11 @@ from lidar2pano.data.frames import (
     evenly_spaced,
 )
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.range_images import COARSE_BAND_DEG
+from lidar2pano.data.range_images import COARSE_BAND_DEG, MOST_LEANING_DEG
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings
+from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings, leaning, tilt
 from lidar2pano.views import View
 
 HIGHEST_DEG = (-4.0, 11.0)  # elevations of highest beams: an HDL-64E's lies at 2, an HDL-32E's at 10.7
@@ -77,6 +77,8 @@ class PanoramaDataset:
     elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
               SHIFT_PX at most from the middle.
     sensors   largest change of level, in octaves, of remission in half of the augmented samples (ScanAugmentation).
+    mixed     probability of half of an augmented sample's columns being another's (`joined`).
+    leans     probability of the sensor of a frame with a camera's labels alone leaning by up to MOST_LEANING_DEG.
     """
 
     def __init__(
@@ -89,10 +91,12 @@ class PanoramaDataset:
         shift_px: int = SHIFT_PX,
         elsewhere: float = 1.0,
         sensors: float = 0.0,
+        mixed: float = 0.0,
+        leans: float = 0.0,
     ) -> None:
         self.frames = frames_of(root, splits)
         self.view, self.columns = view, columns
-        self.shift_px, self.elsewhere, self.sensors = shift_px, elsewhere, sensors
+        self.shift_px, self.elsewhere, self.sensors, self.mixed, self.leans = shift_px, elsewhere, sensors, mixed, leans
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
 
@@ -126,18 +130,30 @@ class PanoramaDataset:
 
     def __getitem__(self, key: SampleIndex | int) -> PanoramaSample:
         """Return the sample: points, labels, crop and mirror augmented by a SampleIndex's seed, or plain for an int."""
-        index = key if isinstance(key, int) else key.index
-        window, frame = self.window(index), self.frames[index]
-        if window.scan.label is None and self.predicted is None:
-            raise InputError(frame.missing("point_labels"))
         if isinstance(key, int):
-            scan = window.scan if self.predicted is None else self._predicted(window.scan, index)
-            return self._sample(window, scan, frame.name, (window.view.columns - self.columns) // 2)
+            window = self._labelled_window(key)
+            scan = window.scan if self.predicted is None else self._predicted(window.scan, key)
+            return self._sample(window, scan, self.frames[key].name, (window.view.columns - self.columns) // 2)
         generator = np.random.default_rng(key.seed)
-        scan = window.scan
-        if self.predicted is not None and (generator.random() < 0.5 or scan.label is None):
-            scan = self._predicted(scan, index)
-        scan = without_sector(scan, generator)
+        sample = self._augmented(key.index, generator)
+        if not self.mixed or generator.random() >= self.mixed:
+            return sample
+        return joined(sample, self._augmented(int(generator.integers(len(self))), generator), generator)
+
+    def _labelled_window(self, index: int) -> PanoramaWindow:
+        window = self.window(index)
+        if window.scan.label is None and self.predicted is None:
+            raise InputError(self.frames[index].missing("point_labels"))
+        return window
+
+    def _augmented(self, index: int, generator: np.random.Generator) -> PanoramaSample:
+        window = self._labelled_window(index)
+        label = window.scan.label
+        if self.predicted is not None and (generator.random() < 0.5 or label is None):
+            label = self._predicted(window.scan, index).label
+        if self.leans and generator.random() < self.leans and not self._all_around(self.frames[index]):
+            window = self._leaning(self.frames[index], window.scan, generator)
+        scan = without_sector(replace(window.scan, label=label), generator)
         if generator.random() < 0.5:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
@@ -146,7 +162,7 @@ class PanoramaDataset:
             scan = drop_above(scan, generator.uniform(*HIGHEST_DEG))
         if self.sensors and generator.random() < 0.5:
             scan = change_sensor_remission(scan, generator, self.sensors)
-        sample = self._sample(window, scan, frame.name, self._start(window, generator))
+        sample = self._sample(window, scan, self.frames[index].name, self._start(window, generator))
         return mirrored(sample) if generator.random() < 0.5 else sample
 
     def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
@@ -184,6 +200,16 @@ class PanoramaDataset:
         else:
             depth_m = project(scan, view).channels[0]
         return PanoramaWindow(scan, view, labels, depth_m)
+
+    def _leaning(self, frame: Frame, scan: Scan, generator: np.random.Generator) -> PanoramaWindow:
+        """Return what a sensor sees that leans with its camera, for which nothing else changes."""
+        ids, calibration = frame.require("camera_labels", "calibration")
+        azimuth, angle = generator.uniform(-np.pi, np.pi), np.radians(generator.uniform(0, MOST_LEANING_DEG))
+        T = np.eye(4)
+        T[:3, :3] = leaning(azimuth, angle).T
+        leant = replace(calibration, T_camera_lidar=calibration.T_camera_lidar @ T)
+        parts = {"camera_labels": ids, "calibration": leant, "point_labels": scan.label}
+        return self._read(Frame(frame.name, scan=tilt(scan, azimuth, angle), **parts))
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """Return the sampled part of a frame's raster, and its camera labels, uint8 of COMMON15 or IGNORE."""
@@ -290,3 +316,13 @@ def mirrored(sample: PanoramaSample) -> PanoramaSample:
     flipped = {field: getattr(sample, field).flip(-1) for field in sample._fields if field != "name"}
     flipped["range_image"] = flipped["range_image"] * torch.tensor([1.0, 1, -1, 1, 1])[:, None, None]
     return sample._replace(**flipped)
+
+
+def joined(sample: PanoramaSample, other: PanoramaSample, generator: np.random.Generator) -> PanoramaSample:
+    """Return the sample with half of its columns, side by side from any on, those of the other (CutMix, Yun et al. 2019)."""
+    columns = sample.segments.shape[-1]
+    theirs = (torch.arange(columns) - int(generator.integers(columns))) % columns < columns // 2
+    fields = (field for field in sample._fields if field != "name")
+    return sample._replace(
+        **{field: getattr(other, field).where(theirs, getattr(sample, field)) for field in fields}
+    )
