@@ -90,7 +90,8 @@ any_direction=(options.rotation_deg=180 options.augment_probability=0.4 training
 further() { # RUN DATA SPLITS SEGMENTER
   stage "$1" fast-segmenter "$2" 38 data.train="$3" "${any_direction[@]}" options.remission_octaves=3 \
     options.tallest=hdl64e-tall options.fixed_norms=true options.mix_probability=0.5 options.place_probability=0.4 \
-    training.batch=2 training.accumulate=2 networks.segmenter.optimizer.rate=1e-3 networks.segmenter.start="$4"
+    training.batch=2 training.accumulate=2 networks.segmenter.optimizer.rate=1e-3 \
+    networks.segmenter.start="$4" networks.segmenter.start_share=0.25
 }
 
 # Family `world`: simulated data, and CLEAN. A segmenter is taught by one with twice the arithmetic.
@@ -100,7 +101,7 @@ stage world-narrow fast-segmenter "$out/towns/scans" 45 data.train="all,$scans" 
 clean=${CLEAN:+,$CLEAN}
 further world-segmenter "$out/towns/scans" "all,$scans$clean" "$(weights world-narrow segmenter)"
 stage world-translator release-translator "$day" 75 data.train="all,$pictures$clean" training.validate_minutes=0 \
-  options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3
+  options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3 options.place_probability=0.4
 taller world-tall release-translator "$day" "$pictures$clean" "$(weights world-segmenter segmenter)" world-translator
 networks=("$(weights world-segmenter segmenter)" "$(weights world-tall translator)")
 painter world "$day" "${CLEAN:-all}" "${networks[@]}"
@@ -123,7 +124,7 @@ others=${PLACES:+,$PLACES}
 further further-segmenter "$kitti" "$often$scans$others" "$(weights segmenter segmenter)"
 # The translator keeps half of its weights: trained alone it forgets some of what it knew.
 stage further-translator fast-translator "$kitti" 30 data.train="train,train,$real$others" training.validate_minutes=0 \
-  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 \
+  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 options.place_probability=0.4 \
   networks.translator.optimizer.rate=7e-4 \
   networks.translator.start="$(weights translator translator)" networks.translator.start_share=0.5
 taller streets-tall fast-translator "$kitti" "train,$pictures${PLACES:+,$PLACES}" \

@@ -13,7 +13,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_pairs import FrontViewDataset
 from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames, frames_of
-from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, PanoramaSample, joined, mirrored
+from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
 from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented, labelled_scan
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import STAND_IN
@@ -151,28 +151,6 @@ def test_mirrored_twice_is_the_sample_again(root):
     assert torch.equal(once.camera_labels, sample.camera_labels.flip(-1))
     assert torch.equal(once.range_image[2], -sample.range_image[2].flip(-1))
     assert all(torch.equal(a, b) for a, b in zip(mirrored(once)[:4], sample[:4], strict=True))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_joined_samples_have_half_of_their_columns_side_by_side_of_the_other(seed):
-    number = torch.arange(10)
-    one = PanoramaSample(number.expand(5, 4, 10), number.expand(4, 10), number.expand(4, 10), number.expand(4, 10), "one")
-    other = PanoramaSample(*(part + 100 for part in one[:4]), "other")
-    both = joined(one, other, np.random.default_rng(seed))
-    columns = both.segments[0].tolist()
-    theirs = [column >= 100 for column in columns]
-    assert [column % 100 for column in columns] == list(range(10)) and sum(theirs) == 5
-    assert sum(theirs[i] != theirs[i - 1] for i in range(10)) == 2, "one stretch, perhaps around the end"
-    assert all(torch.equal(part, both.segments.expand_as(part)) for part in both[:4]) and both.name == "one"
-
-
-def test_a_share_of_panorama_samples_is_joined(root):
-    def alike(mixed: float) -> float:
-        plain, samples = (PanoramaDataset(root, ("train",), RASTER, columns=160, mixed=p) for p in (0.0, mixed))
-        keys = [SampleIndex(0, seed) for seed in range(40)]
-        return np.mean([torch.equal(plain[key].depth_m, samples[key].depth_m) for key in keys])
-
-    assert alike(1.0) < 0.1 and 0.3 < alike(0.5) < 0.7
 
 
 def test_where_a_sensor_leans_scan_and_camera_still_line_up(root):

@@ -77,7 +77,6 @@ class PanoramaDataset:
     elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
               SHIFT_PX at most from the middle.
     sensors   largest change of level, in octaves, of remission in half of the augmented samples (ScanAugmentation).
-    mixed     probability of half of an augmented sample's columns being another's (`joined`).
     leans     probability of the sensor of a frame with a camera's labels alone leaning by up to MOST_LEANING_DEG.
     """
 
@@ -91,12 +90,11 @@ class PanoramaDataset:
         shift_px: int = SHIFT_PX,
         elsewhere: float = 1.0,
         sensors: float = 0.0,
-        mixed: float = 0.0,
         leans: float = 0.0,
     ) -> None:
         self.frames = frames_of(root, splits)
         self.view, self.columns = view, columns
-        self.shift_px, self.elsewhere, self.sensors, self.mixed, self.leans = shift_px, elsewhere, sensors, mixed, leans
+        self.shift_px, self.elsewhere, self.sensors, self.leans = shift_px, elsewhere, sensors, leans
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
 
@@ -130,29 +128,19 @@ class PanoramaDataset:
 
     def __getitem__(self, key: SampleIndex | int) -> PanoramaSample:
         """Return the sample: points, labels, crop and mirror augmented by a SampleIndex's seed, or plain for an int."""
-        if isinstance(key, int):
-            window = self._labelled_window(key)
-            scan = window.scan if self.predicted is None else self._predicted(window.scan, key)
-            return self._sample(window, scan, self.frames[key].name, (window.view.columns - self.columns) // 2)
-        generator = np.random.default_rng(key.seed)
-        sample = self._augmented(key.index, generator)
-        if not self.mixed or generator.random() >= self.mixed:
-            return sample
-        return joined(sample, self._augmented(int(generator.integers(len(self))), generator), generator)
-
-    def _labelled_window(self, index: int) -> PanoramaWindow:
-        window = self.window(index)
+        index = key if isinstance(key, int) else key.index
+        window, frame = self.window(index), self.frames[index]
         if window.scan.label is None and self.predicted is None:
-            raise InputError(self.frames[index].missing("point_labels"))
-        return window
-
-    def _augmented(self, index: int, generator: np.random.Generator) -> PanoramaSample:
-        window = self._labelled_window(index)
+            raise InputError(frame.missing("point_labels"))
+        if isinstance(key, int):
+            scan = window.scan if self.predicted is None else self._predicted(window.scan, index)
+            return self._sample(window, scan, frame.name, (window.view.columns - self.columns) // 2)
+        generator = np.random.default_rng(key.seed)
         label = window.scan.label
         if self.predicted is not None and (generator.random() < 0.5 or label is None):
             label = self._predicted(window.scan, index).label
-        if self.leans and generator.random() < self.leans and not self._all_around(self.frames[index]):
-            window = self._leaning(self.frames[index], window.scan, generator)
+        if self.leans and generator.random() < self.leans and not self._all_around(frame):
+            window = self._leaning(frame, window.scan, generator)
         scan = without_sector(replace(window.scan, label=label), generator)
         if generator.random() < 0.5:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
@@ -162,7 +150,7 @@ class PanoramaDataset:
             scan = drop_above(scan, generator.uniform(*HIGHEST_DEG))
         if self.sensors and generator.random() < 0.5:
             scan = change_sensor_remission(scan, generator, self.sensors)
-        sample = self._sample(window, scan, self.frames[index].name, self._start(window, generator))
+        sample = self._sample(window, scan, frame.name, self._start(window, generator))
         return mirrored(sample) if generator.random() < 0.5 else sample
 
     def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
@@ -202,7 +190,7 @@ class PanoramaDataset:
         return PanoramaWindow(scan, view, labels, depth_m)
 
     def _leaning(self, frame: Frame, scan: Scan, generator: np.random.Generator) -> PanoramaWindow:
-        """Return what a sensor sees that leans with its camera, for which nothing else changes."""
+        """Return the window of a sensor leaning together with its camera."""
         ids, calibration = frame.require("camera_labels", "calibration")
         azimuth, angle = generator.uniform(-np.pi, np.pi), np.radians(generator.uniform(0, MOST_LEANING_DEG))
         T = np.eye(4)
@@ -316,13 +304,3 @@ def mirrored(sample: PanoramaSample) -> PanoramaSample:
     flipped = {field: getattr(sample, field).flip(-1) for field in sample._fields if field != "name"}
     flipped["range_image"] = flipped["range_image"] * torch.tensor([1.0, 1, -1, 1, 1])[:, None, None]
     return sample._replace(**flipped)
-
-
-def joined(sample: PanoramaSample, other: PanoramaSample, generator: np.random.Generator) -> PanoramaSample:
-    """Return the sample with half of its columns, side by side from any on, those of the other (CutMix, Yun et al. 2019)."""
-    columns = sample.segments.shape[-1]
-    theirs = (torch.arange(columns) - int(generator.integers(columns))) % columns < columns // 2
-    fields = (field for field in sample._fields if field != "name")
-    return sample._replace(
-        **{field: getattr(other, field).where(theirs, getattr(sample, field)) for field in fields}
-    )
