@@ -108,14 +108,10 @@ def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, floa
 
 def tilt(scan: Scan, azimuth: float, angle: float) -> Scan:
     """Lean the sensor towards an azimuth by `angle`, both in radians: points there rise in its frame."""
-    return replace(scan, xyz=scan.xyz @ leaning(azimuth, angle).T.astype(np.float32))
-
-
-def leaning(azimuth: float, angle: float) -> np.ndarray:
-    """Return the rotation (3, 3) float64 of points to the axes of a sensor leaning as in `tilt`."""
     across, up = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
     ahead, cos, sin = np.cross(across, up), np.cos(angle), np.sin(angle)
-    return np.outer(across, across) + np.outer(ahead, cos * ahead - sin * up) + np.outer(up, cos * up + sin * ahead)
+    R = np.outer(across, across) + np.outer(ahead, cos * ahead - sin * up) + np.outer(up, cos * up + sin * ahead)
+    return replace(scan, xyz=scan.xyz @ R.T.astype(np.float32))
 
 
 def mix(scan: Scan, other: Scan, generator: np.random.Generator, pasted: Sequence[int]) -> Scan:

@@ -153,23 +153,6 @@ def test_mirrored_twice_is_the_sample_again(root):
     assert all(torch.equal(a, b) for a, b in zip(mirrored(once)[:4], sample[:4], strict=True))
 
 
-def test_where_a_sensor_leans_scan_and_camera_still_line_up(root):
-    """Slow definition: each labelled point's class is that of its camera's pixel, however its sensor leans."""
-    samples = PanoramaDataset(root, ("train",), RASTER, columns=160, leans=1.0)
-    plain = PanoramaDataset(root, ("train",), RASTER, columns=160)
-    agreement, other = [], 0
-    for seed in range(20):
-        sample, upright = (each[SampleIndex(0, seed)] for each in (samples, plain))
-        known = (sample.camera_labels != IGNORE) & (sample.segments > 0)
-        road = sample.camera_labels == COMMON15.id_of("road")
-        agreement.append((road == (sample.segments == ROAD))[known].float().mean().item())
-        other += not torch.equal(sample.camera_labels, upright.camera_labels)
-    assert np.mean(agreement) > 0.8 and other > 15
-    heights = [samples[SampleIndex(0, seed)].range_image[3] for seed in range(20)]
-    lowest = np.array([channel[channel != 0].min().item() for channel in heights])
-    assert np.ptp(lowest) > 0.5, "the ground lies lower on one side"
-
-
 def test_a_mirrored_scan_projects_to_the_mirrored_range_image():
     scan = street(3)
     plain, flipped = (project(s, VIEWS["hdl64e"]).channels[0] for s in (scan, mirror(scan)))

@@ -24,11 +24,11 @@ from lidar2pano.data.frames import (
     evenly_spaced,
 )
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.range_images import COARSE_BAND_DEG, MOST_LEANING_DEG
+from lidar2pano.data.range_images import COARSE_BAND_DEG
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings, leaning, tilt
+from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings
 from lidar2pano.views import View
 
 HIGHEST_DEG = (-4.0, 11.0)  # elevations of highest beams: an HDL-64E's lies at 2, an HDL-32E's at 10.7
@@ -77,7 +77,6 @@ class PanoramaDataset:
     elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
               SHIFT_PX at most from the middle.
     sensors   largest change of level, in octaves, of remission in half of the augmented samples (ScanAugmentation).
-    leans     probability of the sensor of a frame with a camera's labels alone leaning by up to MOST_LEANING_DEG.
     """
 
     def __init__(
@@ -90,11 +89,10 @@ class PanoramaDataset:
         shift_px: int = SHIFT_PX,
         elsewhere: float = 1.0,
         sensors: float = 0.0,
-        leans: float = 0.0,
     ) -> None:
         self.frames = frames_of(root, splits)
         self.view, self.columns = view, columns
-        self.shift_px, self.elsewhere, self.sensors, self.leans = shift_px, elsewhere, sensors, leans
+        self.shift_px, self.elsewhere, self.sensors = shift_px, elsewhere, sensors
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
 
@@ -136,12 +134,10 @@ class PanoramaDataset:
             scan = window.scan if self.predicted is None else self._predicted(window.scan, index)
             return self._sample(window, scan, frame.name, (window.view.columns - self.columns) // 2)
         generator = np.random.default_rng(key.seed)
-        label = window.scan.label
-        if self.predicted is not None and (generator.random() < 0.5 or label is None):
-            label = self._predicted(window.scan, index).label
-        if self.leans and generator.random() < self.leans and not self._all_around(frame):
-            window = self._leaning(frame, window.scan, generator)
-        scan = without_sector(replace(window.scan, label=label), generator)
+        scan = window.scan
+        if self.predicted is not None and (generator.random() < 0.5 or scan.label is None):
+            scan = self._predicted(scan, index)
+        scan = without_sector(scan, generator)
         if generator.random() < 0.5:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
@@ -188,16 +184,6 @@ class PanoramaDataset:
         else:
             depth_m = project(scan, view).channels[0]
         return PanoramaWindow(scan, view, labels, depth_m)
-
-    def _leaning(self, frame: Frame, scan: Scan, generator: np.random.Generator) -> PanoramaWindow:
-        """Return the window of a sensor leaning together with its camera."""
-        ids, calibration = frame.require("camera_labels", "calibration")
-        azimuth, angle = generator.uniform(-np.pi, np.pi), np.radians(generator.uniform(0, MOST_LEANING_DEG))
-        T = np.eye(4)
-        T[:3, :3] = leaning(azimuth, angle).T
-        leant = replace(calibration, T_camera_lidar=calibration.T_camera_lidar @ T)
-        parts = {"camera_labels": ids, "calibration": leant, "point_labels": scan.label}
-        return self._read(Frame(frame.name, scan=tilt(scan, azimuth, angle), **parts))
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """Return the sampled part of a frame's raster, and its camera labels, uint8 of COMMON15 or IGNORE."""

@@ -38,7 +38,6 @@ class PanoramaOptions(TaskOptions):
                            (knowledge distillation), "": none;  weight of that loss.
     elsewhere_probability  with a teacher, of a crop of a real frame from anywhere, also out of the camera's sector.
     remission_octaves      of half of the samples: largest change of remission's level, as of another make of sensor.
-    place_probability      of the sensor of a frame with a camera's labels alone leaning.
     """
 
     task = "panorama"
@@ -52,7 +51,6 @@ class PanoramaOptions(TaskOptions):
     distillation: float = 2.0
     elsewhere_probability: float = 1.0
     remission_octaves: float = 0.0
-    place_probability: float = 0.0
 
 
 class PanoramaTranslation:
@@ -71,7 +69,6 @@ class PanoramaTranslation:
             shift_px=(self.view.columns - options.columns) // 2 if options.teacher else SHIFT_PX,
             elsewhere=options.elsewhere_probability,
             sensors=options.remission_octaves,
-            leans=options.place_probability,
         )
         self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
