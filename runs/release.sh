@@ -10,7 +10,8 @@
 #   PHOTOGRAPHS= splits with images that teach the painter of `streets`: "train,FOLDER:split,..." (default train)
 #   PLACES=      splits with scans of other places and sensors that teach segmenter and translator of `streets`; a scan
 #                without labels of its own needs a labelled image (default: none)
-#   CLEAN=       splits with scans and images, of licences that allow any use, that teach `world`: PandaSet, DGP (default: none)
+#   CLEAN=       splits with scans and images that teach painter and segmenter of `world`, of licences that allow any use
+#                (default: none)
 # For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there.
 # The weights of version 0.1.0 were not made by this script but stage by stage, by earlier scripts that are in the history
 # up to b3e012f: with networks pruned, averaged and finished between stages.
@@ -87,22 +88,21 @@ taller() { # RUN RECIPE DATA SPLITS SEGMENTER RUN-OF-THE-START
 # Segmenters go on with scans of other places and sensors, above an HDL-64E's beams too, at any level of remission, mixed,
 # and of sensors that stand higher, lower or lean: more of the same frames alone is forgotten elsewhere (docs/guides/train.md).
 any_direction=(options.rotation_deg=180 options.augment_probability=0.4 training.validate_minutes=0)
-further() { # RUN DATA SPLITS SEGMENTER
+further() { # RUN DATA SPLITS SEGMENTER SHARE: of its weights stays so much
   stage "$1" fast-segmenter "$2" 38 data.train="$3" "${any_direction[@]}" options.remission_octaves=3 \
     options.tallest=hdl64e-tall options.fixed_norms=true options.mix_probability=0.5 options.place_probability=0.4 \
     training.batch=2 training.accumulate=2 networks.segmenter.optimizer.rate=1e-3 \
-    networks.segmenter.start="$4" networks.segmenter.start_share=0.25
+    networks.segmenter.start="$4" networks.segmenter.start_share="$5"
 }
 
 # Family `world`: simulated data, and CLEAN. A segmenter is taught by one with twice the arithmetic.
 stage world-wide release-segmenter "$out/towns/scans" 90 data.train="all,$scans" "${any_direction[@]}"
 stage world-narrow fast-segmenter "$out/towns/scans" 45 data.train="all,$scans" "${any_direction[@]}" \
   options.teacher="$(weights world-wide segmenter)"
-clean=${CLEAN:+,$CLEAN}
-further world-segmenter "$out/towns/scans" "all,$scans$clean" "$(weights world-narrow segmenter)"
-stage world-translator release-translator "$day" 75 data.train="all,$pictures$clean" training.validate_minutes=0 \
-  options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3 options.place_probability=0.4
-taller world-tall release-translator "$day" "$pictures$clean" "$(weights world-segmenter segmenter)" world-translator
+further world-segmenter "$out/towns/scans" "all,$scans${CLEAN:+,$CLEAN}" "$(weights world-narrow segmenter)" 0.25
+stage world-translator release-translator "$day" 75 data.train="all,$pictures" training.validate_minutes=0 \
+  options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3
+taller world-tall release-translator "$day" "$pictures" "$(weights world-segmenter segmenter)" world-translator
 networks=("$(weights world-segmenter segmenter)" "$(weights world-tall translator)")
 painter world "$day" "${CLEAN:-all}" "${networks[@]}"
 family world "${networks[@]}" \
@@ -121,10 +121,10 @@ stage wide-translator release-translator "$kitti" 75 data.train="$real" training
 stage translator fast-translator "$kitti" 90 data.train="$real" training.validate_minutes=0 "$labels" \
   options.teacher="$(weights wide-translator translator)" options.elsewhere_probability=0.35
 others=${PLACES:+,$PLACES}
-further further-segmenter "$kitti" "$often$scans$others" "$(weights segmenter segmenter)"
-# The translator keeps half of its weights: trained alone it forgets some of what it knew.
+further further-segmenter "$kitti" "$often$scans$others" "$(weights segmenter segmenter)" 0.5
+# The translator keeps half of its weights, too.
 stage further-translator fast-translator "$kitti" 30 data.train="train,train,$real$others" training.validate_minutes=0 \
-  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 options.place_probability=0.4 \
+  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 \
   networks.translator.optimizer.rate=7e-4 \
   networks.translator.start="$(weights translator translator)" networks.translator.start_share=0.5
 taller streets-tall fast-translator "$kitti" "train,$pictures${PLACES:+,$PLACES}" \
