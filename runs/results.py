@@ -18,8 +18,6 @@ from lidar2pano.reproduce.paper_tables import ROWS as PAPER
 ROOT = Path(__file__).resolve().parent.parent
 SCORES = ROOT / "docs" / "results"
 FAMILIES = ("streets", "world")
-TAUGHT = {"pandaset": ("world",)}  # whose painters have learned from a set: their pictures of it measure nothing
-PICTURES = ("ssim", "swd", "fid", "patch_", "edge_", "warping", "seam")
 MEASURED_BY = {"without-pandaset": "streets"}  # runs that have not seen a place stand for the family that has
 PUBLISHED = {"TITAN-Net": PAPER["titan"], "TITAN-Next": PAPER["titan-next"]}
 Scores = dict[tuple[str, str, str], dict[str, Any]]  # (system, sector, metric) -> value, low, high, frames
@@ -87,9 +85,9 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   sensor's poses; the ground truth's own is {still}.
 - **tall towns**: {tall} frames of simulated town centres as an OS1-128 sees them, from -32 to 24 degrees
   (`--elevation=-32,24`); no network was trained on them.
-- **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches `streets`, which is
+- **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches both families: `streets` is
   therefore measured by a run of its last stages (but for the one of taller panoramas) that was not shown the place, and
-  the painter of `world`, whose pictures of it are not scored.
+  `world` not at all.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures; 1 is as far as real images
@@ -98,6 +96,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
 """
 TEXTS = {
     "folds": "Streets that the networks have not seen: before the last stages, and after them without each place",
+    "unseen": "Streets of KITTI, of which `world` has seen none",
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",
     "evidence": "Evidence beside the translator's classes",
@@ -108,18 +107,16 @@ TEXTS = {
 def read_scores(path: Path) -> Scores:
     """Return the values of a CSV file of `lidar2pano evaluate`; empty values are None. No file has no values.
 
-    Pictures of a family that has learned from the set are left out. Runs of MEASURED_BY have their family's name.
+    Runs of MEASURED_BY have their family's name.
     """
     if not path.is_file():
         return {}
-    taught = TAUGHT.get(path.stem, ())
     with path.open(encoding="utf-8", newline="") as file:
         return {
             (MEASURED_BY.get(line["system"], line["system"]), line["sector"], line["metric"]): {
                 name: float(line[name]) if line[name] else None for name in ("value", "low", "high", "frames")
             }
             for line in csv.DictReader(file)
-            if not (line["system"].split("+")[0] in taught and line["metric"].startswith(PICTURES))
         }
 
 

@@ -3,12 +3,13 @@
 #   runs/results.sh KITTI TOWNS PANDASET NUSCENES [STEP...]
 # KITTI has the splits val and labelled; TOWNS is a simulated set that no network was trained on (see `towns` below);
 # PANDASET and NUSCENES have surround cameras.
-#   FOLDS=   families of the last stage that have not seen a place: FOLDS/without-pandaset, FOLDS/without-k04, ..., and
-#            FOLDS/before, which none of them had taught; MORE=: folder of the places k04, k09 and dgp
+#   FOLDS=   families of the last stage that have not seen a place: FOLDS/without-pandaset and FOLDS/without-k09, and
+#            FOLDS/before, which neither had taught; MORE=: folder of the places k04 and k09
 # Without a STEP all run in turn; each writes one file in docs/results:
 #   make-towns  simulate TOWNS and TOWNS-tall, unless they are there
 #   val labelled towns tall pandaset nuscenes   scores, as CSV
 #   folds                                  classes on streets that a run has not seen
+#   unseen                                 classes of `world` on two of these streets
 #   beams remission                        scores with fewer beams and without remission
 #   times                                  milliseconds on this machine
 #   page        RESULTS.md and the scores of cards from these files; costs nothing
@@ -34,10 +35,13 @@ step() {
     labelled) scores labelled world --data "$kitti" --split labelled --metrics points ;;
     towns) scores towns streets streets+steady world world+steady --data "$towns" --split all ;;
     tall) scores tall streets world --data "$towns-tall" --split all --elevation=-32,24 --metrics classes,depth,panorama ;;
-    pandaset) (cd "$FOLDS" && scores pandaset without-pandaset world --data "$pandaset" --split all) ;;
+    pandaset) (cd "$FOLDS" && scores pandaset without-pandaset --data "$pandaset" --split all) ;;
     folds)
       (cd "$FOLDS" && text folds lidar2pano evaluate before "without-{fold}" --metrics classes \
-        --folds k04="$MORE/k04:all" --folds k09="$MORE/k09:all" --folds dgp="$MORE/dgp:other")
+        --folds k09="$MORE/k09:all" --folds pandaset="$pandaset:all")
+      ;;
+    unseen)
+      text unseen lidar2pano evaluate world --metrics classes --folds k04="$MORE/k04:all" --folds k09="$MORE/k09:all"
       ;;
     nuscenes) scores nuscenes streets world --data "$nuscenes" --split all ;;
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
@@ -47,6 +51,6 @@ step() {
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
 }
-for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds beams remission times page}"; do
+for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds unseen beams remission times page}"; do
   for name in $each; do step "$name"; done
 done
