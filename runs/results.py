@@ -95,7 +95,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   Lite0) and, as edge features, those of VGG-16 fine-tuned on edges (HED), on images of full and of half size.
 """
 TEXTS = {
-    "folds": "Streets that the networks have not seen: before the last stages, and after them without each place",
+    "folds": "A street of KITTI that networks have not seen: `before` the last stages, and after them without it",
     "unseen": "Streets of KITTI, of which `world` has seen none",
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",

@@ -8,8 +8,8 @@
 # Without a STEP all run in turn; each writes one file in docs/results:
 #   make-towns  simulate TOWNS and TOWNS-tall, unless they are there
 #   val labelled towns tall pandaset nuscenes   scores, as CSV
-#   folds                                  classes on streets that a run has not seen
-#   unseen                                 classes of `world` on two of these streets
+#   folds                                  classes on a street that a run has not seen
+#   unseen                                 classes of `world` on two such streets
 #   beams remission                        scores with fewer beams and without remission
 #   times                                  milliseconds on this machine
 #   page        RESULTS.md and the scores of cards from these files; costs nothing
@@ -37,8 +37,7 @@ step() {
     tall) scores tall streets world --data "$towns-tall" --split all --elevation=-32,24 --metrics classes,depth,panorama ;;
     pandaset) (cd "$FOLDS" && scores pandaset without-pandaset --data "$pandaset" --split all) ;;
     folds)
-      (cd "$FOLDS" && text folds lidar2pano evaluate before "without-{fold}" --metrics classes \
-        --folds k09="$MORE/k09:all" --folds pandaset="$pandaset:all")
+      (cd "$FOLDS" && text folds lidar2pano evaluate before without-k09 --metrics classes --data "$MORE/k09" --split all)
       ;;
     unseen)
       text unseen lidar2pano evaluate world --metrics classes --folds k04="$MORE/k04:all" --folds k09="$MORE/k09:all"
