@@ -16,7 +16,7 @@ from lidar2pano.data.layouts import frames_of
 from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import Normalisation, fitted_view, project
 from lidar2pano.geometry.stitching import Camera, homogeneous, look, points_in, surfaces_in
-from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, TABLES
+from lidar2pano.labels import CITYSCAPES, COMMON15, SEMANTIC_KITTI, TABLES, THINGS
 from lidar2pano.scan import (
     Scan,
     change_sensor_remission,
@@ -38,10 +38,7 @@ HDL64E_BEAM_DEG = 0.42  # of one beam: between neighbours of an HDL-64E's 64 bea
 COARSE_BAND_DEG = 0.8  # of about two beams
 MOST_HIGHER_M = 1.2  # than a car's roof at 1.7 m: from a small robot's mast to a lorry's cab
 MOST_LEANING_DEG = 5.0
-PASTED = tuple(
-    SEMANTIC_KITTI.id_of(name)
-    for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person", "bicyclist", "motorcyclist")
-)
+PASTED = tuple(np.flatnonzero(np.isin(TABLES[SEMANTIC_KITTI.name, COMMON15.name], THINGS)).tolist())
 PLAIN = Normalisation()
 
 

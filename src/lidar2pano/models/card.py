@@ -26,9 +26,7 @@ from lidar2pano.labels import LABEL_SETS
 from lidar2pano.models import MODELS, build
 from lidar2pano.views import MOST_PIXELS
 
-SCORES = (
-    "scores.json"  # beside weight files, so that measuring leaves them as they are: checksum of the tensors -> score
-)
+SCORES = "scores.json"  # beside weight files, so that measuring leaves them alone: scores by checksum of the tensors
 # Most calls of torch's functions while a network is built; ours make 4 to 33 calls a tensor.
 MOST_CALLS, CALLS_PER_TENSOR = 2000, 40
 
