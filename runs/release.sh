@@ -86,7 +86,7 @@ taller() { # RUN RECIPE DATA SPLITS SEGMENTER RUN-OF-THE-START
 }
 
 # Segmenters go on with scans of other places and sensors, above an HDL-64E's beams too, at any level of remission, mixed,
-# and of sensors that stand higher, lower or lean: more of the same frames alone is forgotten elsewhere (docs/guides/train.md).
+# and of sensors that stand higher, lower or lean: more steps alone made them worse elsewhere (docs/guides/train.md).
 any_direction=(options.rotation_deg=180 options.augment_probability=0.4 training.validate_minutes=0)
 further() { # RUN DATA SPLITS SEGMENTER SHARE: of its weights stays so much
   stage "$1" fast-segmenter "$2" 38 data.train="$3" "${any_direction[@]}" options.remission_octaves=3 \
