@@ -108,20 +108,20 @@ def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, floa
 
 def tilt(scan: Scan, azimuth: float, angle: float) -> Scan:
     """Lean the sensor towards an azimuth by `angle`, both in radians: points there rise in its frame."""
-    across, up = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
-    ahead, cos, sin = np.cross(across, up), np.cos(angle), np.sin(angle)
-    R = np.outer(across, across) + np.outer(ahead, cos * ahead - sin * up) + np.outer(up, cos * up + sin * ahead)
-    return replace(scan, xyz=scan.xyz @ R.T.astype(np.float32))
+    cos, sin = np.cos(angle), np.sin(angle)
+    R = np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]], dtype=np.float32)
+    ahead = turn(scan, -azimuth)
+    return turn(replace(ahead, xyz=ahead.xyz @ R.T), azimuth)
 
 
-def mix(scan: Scan, other: Scan, generator: np.random.Generator, pasted: Sequence[int]) -> Scan:
-    """Swap a half-turn of a labelled scan for the other's, and paste the other's points of some classes, turned.
+def mix(scan: Scan, partner: Scan, generator: np.random.Generator, pasted: Sequence[int]) -> Scan:
+    """Swap a half-turn of a labelled scan for its partner's, and paste the partner's points of some classes, turned.
 
     PolarMix (Xiao et al. 2022), with its three copies, each turned by up to a full turn. Beams and times are left out.
     """
     middle = generator.uniform(-np.pi, np.pi)
-    parts = [_subset(scan, ~_ahead(scan, middle)), _subset(other, _ahead(other, middle))]
-    things = _subset(other, np.isin(_labels(other), pasted))
+    parts = [_subset(scan, ~_ahead(scan, middle)), _subset(partner, _ahead(partner, middle))]
+    things = _subset(partner, np.isin(_labels(partner), pasted))
     parts += [turn(things, generator.uniform(-np.pi, np.pi)) for _ in range(3)]
     xyz, remission, label = (
         np.concatenate(values)

@@ -69,7 +69,7 @@ class ScanAugmentation:
               (scan.change_sensor_remission); 0: none.
     mixed     probability of a half-turn and of things of another scan (scan.mix).
     places    probability of each of a sensor standing up to MOST_HIGHER_M higher or lower, and leaning by up to
-              MOST_LEANING_DEG; of scans as high as their beams still lie nearly in rows.
+              MOST_LEANING_DEG: beams still lie nearly in rows, unlike those of a scan moved sideways.
     """
 
     turn_deg: float = 180.0
