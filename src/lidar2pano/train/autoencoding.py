@@ -127,9 +127,15 @@ class Autoencoding:
 
 
 class Texture:
-    """Frozen features of pictures and of their photographs, (B, 3, H, W) in [-1, 1], and latents."""
+    """Frozen features of pictures and of photographs, and what a critic is told of their scenes.
 
-    def __init__(self, features: ImagenetFeatures, made: Tensor, real: Tensor, latents: Tensor) -> None:
+    made    (B, 3, H, W) about in [-1, 1];  latents: (B, C, h, w).
+    real    (P, 3, H, W) in [-1, 1], of the P pictures in `paired`, (B,) bool; None: of all.
+    """
+
+    def __init__(
+        self, features: ImagenetFeatures, made: Tensor, real: Tensor, latents: Tensor, paired: Tensor | None = None
+    ) -> None:
         device = made.device
         features.to(device)
         with fast_arithmetic(device):
@@ -137,15 +143,16 @@ class Texture:
                 self.of_real = features(real.contiguous(memory_format=torch.channels_last))
             self.of_made = features(made.contiguous(memory_format=torch.channels_last))
         self.latents = latents.float()
+        self.paired = torch.ones(len(made), dtype=torch.bool, device=device) if paired is None else paired
 
     def perceptual_loss(self) -> Tensor:
         """Return the mean absolute error of features, each depth in units of the real ones' deviation."""
-        pairs = zip(self.of_made, self.of_real, strict=True)
+        pairs = zip((part[self.paired] for part in self.of_made), self.of_real, strict=True)
         return _mean([l1_loss(made.float(), real.float()) / (real.float().std() + 1e-3) for made, real in pairs])
 
     def critic_loss(self, critic: nn.Module) -> Tensor:
         """Return the critic's hinge loss."""
-        of_real = critic(self.latents, *self.of_real)
+        of_real = critic(self.latents[self.paired], *self.of_real)
         of_made = critic(self.latents, *(part.detach() for part in self.of_made))
         return _mean([hinge_critic(real.float(), made.float()) for real, made in zip(of_real, of_made, strict=True)])
 

@@ -1,8 +1,9 @@
 """The latent painter's last stage: pictures of few steps that a critic cannot tell from photographs.
 
 Flow and decoder learn together through all steps of a picture, which starts from noise (adversarial distillation: Sauer
-et al. 2023, arXiv:2311.17042): frozen features and colours of the photograph, the distribution of features in patches,
-and a projected critic. The loss of the flow stays, so that more steps remain possible.
+et al. 2023, arXiv:2311.17042): frozen features and colours of the photograph, the distribution of features in patches
+of each class, and a projected critic. The loss of the flow stays, so that more steps remain possible. Scenes without a
+photograph, of simulated towns, are painted as photographs as well, so that other sensors and places are known.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ from torch import Tensor
 from torch.nn.functional import interpolate, mse_loss
 
 from lidar2pano.hardware import fast_arithmetic
-from lidar2pano.losses import PatchStatistics, pooled
+from lidar2pano.losses import Patches, PatchStatistics, pooled
 from lidar2pano.losses.adversarial import DiffAugment
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
-from lidar2pano.models.latent_painter import CONDITIONS
+from lidar2pano.models.latent_painter import CLASSES, CONDITIONS
 from lidar2pano.train.autoencoding import Texture
 from lidar2pano.train.latent_frames import LatentSample, PicturedFrames
 from lidar2pano.train.latent_painting import LatentPainting, LatentPaintingOptions, latent_painter
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, on_two_cores
 
 MATCHED = 3  # depths of features whose distributions are matched
+PHOTOGRAPH = 0  # number of the look of photographs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +37,12 @@ class LatentTextureOptions(LatentPaintingOptions):
     flow         weight of the loss of the flow.
     perceptual   weight of the mean absolute error of frozen features, each in units of its deviation.
     pooled       weight of the squared error of colours, means of 4 x 4 pixels; also above and below the photograph.
-    statistics   weight of the distance of patches' features from the photographs' distribution.
+    statistics   weight of the distance of patches' features from the distribution of their class in photographs.
     adversarial  weight of the hinge loss of the critic.
     augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
+    unpaired_probability  of a simulated sample to be painted as a photograph, and of any photograph to be shown to the
+                 critic without its scene: patches and critic alone judge the former (cf. Richter et al. 2023,
+                 Enhancing photorealism enhancement).
     """
 
     task = "latent-texture"
@@ -47,9 +52,10 @@ class LatentTextureOptions(LatentPaintingOptions):
     flow: float = 1.0
     perceptual: float = 2.0
     pooled: float = 6.0
-    statistics: float = 1.0
+    statistics: float = 4.0
     adversarial: float = 0.6
     augment_probability: float = 0.4
+    unpaired_probability: float = 0.5
 
 
 class LatentTexture(LatentPainting):
@@ -62,30 +68,48 @@ class LatentTexture(LatentPainting):
         super().__init__(recipe, root)
         self.painter.decoder.requires_grad_()
         self.features = ImagenetFeatures.load(LITE0)
-        self.distributions = PatchStatistics(len(self.painter.looks), LITE0.channels[:MATCHED])
+        self.distributions = PatchStatistics()
 
     def updates(self, batch: LatentSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the painter."""
         options = self.options
         loss = options.flow * self.flow_loss(batch)
+        paired = self._paired(batch.look)
+        batch = as_photographs(batch, ~paired)
         made = self.painted(batch)
-        real = torch.where(batch.shown[:, None], batch.picture, made.detach())
         terms = {"pooled": options.pooled * self._pooled_loss(made, batch)}
+        real = torch.where(batch.shown[:, None], batch.picture, made.detach())
         augment = DiffAugment.drawn(len(made), options.augment_probability)
-        layers = torch.cat([batch.shown[:, None], interpolate(batch.conditions, scale_factor=2.0)], 1)
+        shown = batch.shown[:, None]
+        layers = torch.cat([shown, torch.ones_like(shown), interpolate(batch.conditions, scale_factor=2.0)], 1)
         real = augment.apply(real, layers[:, :0])
-        made, shown, conditions = augment.apply(made, layers).split((3, 1, CONDITIONS), 1)
-        texture = Texture(self.features, made, real, conditions.detach())
+        made, shown, whole, conditions = augment.apply(made, layers).split((3, 1, 1, CONDITIONS), 1)
+        conditions = conditions.detach()
+        told = paired & (torch.rand(len(made), device=made.device) >= options.unpaired_probability)
+        texture = Texture(self.features, made, real[paired], conditions * told[:, None, None, None], paired)
         critic = self.networks["critic"]
         yield "critic", texture.critic_loss(critic)
-        pairs = [(a.float(), b.float()) for a, b in zip(texture.of_real, texture.of_made, strict=True)][:MATCHED]
+        groups = self._groups(conditions, batch.look)
+        real_patches = Patches([part.float() for part in texture.of_real[:MATCHED]], shown[paired], groups[paired])
+        patches = Patches([part.float() for part in texture.of_made[:MATCHED]], whole, groups)
         terms |= {
             "perceptual": options.perceptual * texture.perceptual_loss(),
-            "statistics": options.statistics * self.distributions(pairs, shown.detach(), batch.look),
+            "statistics": options.statistics * self.distributions(real_patches, patches),
             "adversarial": options.adversarial * texture.adversarial_loss(critic),
         }
         self.logs |= {name: term.detach() for name, term in terms.items()}
         yield "painter", loss + torch.stack(list(terms.values())).sum()
+
+    def _paired(self, look: Tensor) -> Tensor:
+        """Return which samples (B,) are judged beside their own pictures: all photographs, and at least one sample."""
+        drawn = torch.rand(len(look), device=look.device) >= self.options.unpaired_probability
+        paired = (look == PHOTOGRAPH) | drawn
+        return paired | ~paired.any()
+
+    def _groups(self, conditions: Tensor, look: Tensor) -> Tensor:
+        """Return shares (B, looks x classes, H, W) of classes in looks, from conditions (B, CONDITIONS, H, W)."""
+        shares = self.shares(look)[:, :, None, None, None] * conditions[:, None, CLASSES]
+        return shares.flatten(1, 2)
 
     @staticmethod
     def _pooled_loss(made: Tensor, batch: LatentSample) -> Tensor:
@@ -104,6 +128,17 @@ class LatentTexture(LatentPainting):
             noise = torch.randn_like(batch.latents)
             latents = self.painter.latents_of(conditions, self.shares(batch.look), noise, clues)
             return self.painter.decoder(latents).float()
+
+
+def as_photographs(batch: LatentSample, chosen: Tensor) -> LatentSample:
+    """Return a batch whose chosen samples (B,) bool have the look of photographs, and nothing of their pictures."""
+    kept = ~chosen
+    return batch._replace(
+        coverage=batch.coverage & kept[:, None, None],
+        look=torch.where(kept, batch.look, PHOTOGRAPH),
+        style=batch.style * kept[:, None],
+        shown=batch.shown & kept[:, None, None],
+    )
 
 
 def latent_texture() -> Recipe[LatentTextureOptions]:
