@@ -53,6 +53,7 @@ INTENSITY_ERROR, GAIN_ERROR = 10.0, 0.1
 COARSE_PX = 2  # every so many pixels of each row and column show how far an invention is off
 CELL_PX = 4  # on a side of the finest cells of differences, and between the pixels compared for the gains
 SMOOTH_PX = 16  # on a side of the cells of images' means, faded over their overlap; details change at its seam
+_GRID = (slice(None), slice(None, None, CELL_PX), slice(None, None, CELL_PX))  # of pixels whose colours are compared
 SECTOR_PX = 16  # distance of the pixels tested for a camera's columns
 
 
@@ -153,7 +154,8 @@ def photographed(panorama: Panorama, cameras: Sequence[Camera]) -> Photographed:
     sights = sights_of(panorama, cameras)
     layers = [camera.colours(sight) for camera, sight in zip(cameras, sights, strict=True)]
     cameras = brought_together(cameras, sights, layers, panorama)
-    layers = [layer * torch.tensor(camera.gain)[:, None] for camera, layer in zip(cameras, layers, strict=True)]
+    for camera, layer in zip(cameras, layers, strict=True):
+        layer.mul_(torch.tensor(camera.gain)[:, None])
     return Photographed(*mixed(layers, sights, cameras, panorama.view), tuple(cameras))
 
 
@@ -208,7 +210,7 @@ def brought_together(
     """
     count = len(cameras)
     sampled = np.zeros(panorama.depth_m.shape, dtype=bool) if panorama.measured is None else panorama.measured.copy()
-    sampled[::CELL_PX, ::CELL_PX] = True
+    sampled[_GRID[1:]] = True
     sampled = torch.from_numpy(sampled).flatten()
     samples: list[tuple[np.ndarray, np.ndarray]] = []
     for sight, layer in zip(sights, layers, strict=True):
@@ -238,36 +240,44 @@ def mixed(
     """Return what cameras show together, (3, H, W) float32, and each pixel's camera (H, W) uint8; zero where none sees.
 
     Cameras are numbered from 1; a pixel's is the one whose axis is nearest in angle. Two bands (Burt and Adelson 1983):
-    details change at a seam, means of cells fade over the whole overlap.
+    details change at a seam, means of cells, one in CELL_PX pixels of each row and column, fade over the whole overlap.
     """
-    size, several = view.rows * view.columns, len(cameras) > 1
-    narrow, wide = torch.zeros(4, size), torch.zeros(4, size if several else 0)
+    size = view.rows * view.columns
+    narrow, cells = torch.zeros(4, view.rows, view.columns), torch.full((view.rows, view.columns), -1)
+    wide = torch.zeros_like(narrow[_GRID], memory_format=torch.contiguous_format)
+    cells[_GRID[1:]] = torch.arange(wide[0].numel()).view(wide[0].shape)
     source = torch.zeros(size, dtype=torch.uint8)
     weights = seam_weights(sights, size, view)
-    for number, (layer, sight, weight) in enumerate(zip(layers, sights, weights, strict=True), 1):
-        surface, counted = sight.surface, torch.cat([layer, torch.ones(1, len(weight))])
-        source.index_fill_(0, surface.index_select(0, indices_of(weight == 1)), number)
-        narrow.index_add_(1, surface, counted * weight)
-        if several:
-            wide.index_add_(1, surface, counted.mul_(_inwards(cameras[number - 1], sight)))
-    colour = (narrow[:3] / narrow[3].clamp(min=1e-9)).view(3, view.rows, view.columns)
+    for number, (camera, layer, sight, weight) in enumerate(zip(cameras, layers, sights, weights, strict=True), 1):
+        source.index_fill_(0, sight.surface.index_select(0, indices_of(weight == 1)), number)
+        _count(narrow, sight.surface, layer, weight)
+        cell = cells.view(-1).index_select(0, sight.surface)
+        chosen = indices_of(cell >= 0)
+        inwards = _inwards(camera, sight.place.index_select(1, chosen))
+        _count(wide, cell.index_select(0, chosen), layer.index_select(1, chosen), inwards)
+    colour = narrow[:3] / narrow[3].clamp(min=1e-9)
     source = source.view(view.rows, view.columns)
-    if several:
-        faded = _smooth_means(wide, view) - _smooth_means(narrow, view)
+    if len(cameras) > 1:
+        faded = _smooth_means(wide) - _smooth_means(narrow[_GRID])
         colour.addcmul_(enlarged_planes(faded, SMOOTH_PX)[:, : view.rows, : view.columns], as_float(source > 0))
     return colour, source
 
 
-def _smooth_means(counted: Tensor, view: View) -> Tensor:
-    """Return means (3, h, w) in cells of SMOOTH_PX of weighted colours and weights (4, n) of a view's pixels."""
-    pixels = counted.view(4, view.rows, view.columns)
-    sums = avg_pool2d(pixels, SMOOTH_PX, ceil_mode=True, divisor_override=1)
+def _count(sums: Tensor, place: Tensor, colours: Tensor, weights: Tensor) -> None:
+    """Add weighted colours (3, n) and their weights (n,) to the sums (4, h, w), at places (n,) row by row."""
+    sums[:3].view(3, -1).index_add_(1, place, colours * weights)
+    sums[3].view(-1).index_add_(0, place, weights)
+
+
+def _smooth_means(counted: Tensor) -> Tensor:
+    """Return means (3, h, w) in cells of SMOOTH_PX of weighted colours and weights (4, h', w') on the grid."""
+    sums = avg_pool2d(counted, SMOOTH_PX // CELL_PX, ceil_mode=True, divisor_override=1)
     return sums[:3] / sums[3].clamp(min=1e-9)
 
 
-def _inwards(camera: Camera, sight: Sight) -> Tensor:
-    """Return weights (n,), falling to zero at the border of a camera's image."""
-    share = sight.place / torch.tensor(camera.calibration.size)[:, None]
+def _inwards(camera: Camera, place: Tensor) -> Tensor:
+    """Return weights (n,) of places (2, n) in a camera's image, falling to zero at its border."""
+    share = place / torch.tensor(camera.calibration.size)[:, None]
     return share.mul_(1 - share).prod(0).clamp_(min=1e-6)
 
 
