@@ -286,7 +286,7 @@ def _assert_near(ours: list[Tensor], theirs: list[Tensor], allowed: float) -> No
 def test_a_raster_that_cannot_be_halved_four_times_is_named(network: str, shape: tuple[int, int]) -> None:
     model = build(network)
     inputs = (torch.zeros(1, 5, *shape), torch.zeros(1, 20, *shape))[: 1 if network == "salsanext" else 2]
-    with pytest.raises(InputError, match=f"{shape[0]} x {shape[1]} pixels .* multiples of 16"):
+    with pytest.raises(InputError, match=f"{shape[0]} x {shape[1]} pixels: rows, columns must divide by 16"):
         model(*inputs)
 
 

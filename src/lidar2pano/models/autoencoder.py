@@ -14,8 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import silu
 
-from lidar2pano.errors import InputError
-from lidar2pano.models.blocks import CircularConv
+from lidar2pano.models.blocks import CircularConv, check_size
 
 FACTOR = 8  # pixels of the picture per pixel of its latents, in rows and in columns
 RANGE = 3.0  # latents are about of unit scale; the decoder reads them within +-RANGE, softly
@@ -116,8 +115,7 @@ class Autoencoder(nn.Module):
 
         Raises InputError unless H and W are multiples of FACTOR.
         """
-        if picture.shape[-2] % FACTOR or picture.shape[-1] % FACTOR:
-            raise InputError(f"a picture of {tuple(picture.shape[-2:])} pixels: rows, columns must divide by {FACTOR}")
+        check_size(picture, FACTOR, "a picture")
         return self.encoder(picture)
 
     def decode(self, latents: Tensor) -> Tensor:

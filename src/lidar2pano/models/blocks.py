@@ -14,9 +14,17 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
 
 LARGE = 1 << 22  # numbers in an image from which on a copy of it takes longer than a second convolution at the seam
+
+
+def check_size(image: Tensor, divisor: int, noun: str) -> None:
+    """Raise InputError, which calls the image (..., H, W) by a noun, unless its rows and columns divide by a number."""
+    rows, columns = image.shape[-2:]
+    if rows % divisor or columns % divisor:
+        raise InputError(f"{noun} of {rows} x {columns} pixels: rows, columns must divide by {divisor}")
 
 
 class CircularConv(nn.Conv2d):

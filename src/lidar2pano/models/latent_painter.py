@@ -24,7 +24,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder, encode_columns
-from lidar2pano.models.blocks import CircularConv
+from lidar2pano.models.blocks import CircularConv, check_size
 from lidar2pano.models.stream_painter import QUALITIES
 from lidar2pano.models.world_noise import world_noise
 from lidar2pano.scene.depth import FAR_M, depth_code
@@ -177,9 +177,7 @@ class MeanNetwork(nn.Module):
         conditions  (B, CONDITIONS, FOLD h, FOLD w);  shares: (B, looks) of the looks, which sum to 1.
         Raises InputError unless the conditions' rows and columns are multiples of STRIDE.
         """
-        if conditions.shape[-2] % STRIDE or conditions.shape[-1] % STRIDE:
-            size = tuple(conditions.shape[-2:])
-            raise InputError(f"conditions of {size} pixels: rows, columns must divide by {STRIDE}")
+        check_size(conditions, STRIDE, "a scene")
         return self.unet(conditions, shares @ self.look_codes)
 
 

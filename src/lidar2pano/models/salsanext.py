@@ -48,7 +48,7 @@ from torch.nn import functional
 from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.blocks import InstanceNorm, SummedConv2d
+from lidar2pano.models.blocks import InstanceNorm, SummedConv2d, check_size
 from lidar2pano.scene.depth import FAR_M
 
 STRIDE = 16  # four poolings by two
@@ -155,15 +155,6 @@ class UpBlock(nn.Module):
         return self.dropout3(self.bn4(self.act4(self.conv4(first, second, third))))
 
 
-def check_raster(x: Tensor) -> None:
-    """Raise InputError unless the rows and columns of (B, C, H, W) are multiples of STRIDE."""
-    if x.shape[-2] % STRIDE or x.shape[-1] % STRIDE:
-        raise InputError(
-            f"a range image of {x.shape[-2]} x {x.shape[-1]} pixels does not fit the network: "
-            f"choose a view whose rows and columns are multiples of {STRIDE}"
-        )
-
-
 class Trunk(nn.Module):
     """Encoder and decoder of SalsaNext and TITAN-Net: (B, channels, H, W) -> (B, widths[0], H, W).
 
@@ -198,7 +189,7 @@ class Trunk(nn.Module):
 
     def features(self, x: Tensor) -> Tensor:
         """(B, channels, H, W) -> (B, widths[0], H, W); H and W must be multiples of 16, otherwise InputError."""
-        check_raster(x)
+        check_size(x, STRIDE, "a range image")
         x = self.downCntx3(self.downCntx2(self.downCntx(x)))
         x, skip1 = self.resBlock1(x)
         x, skip2 = self.resBlock2(x)
@@ -373,7 +364,7 @@ class TitanNext(nn.Module):
         Returns logits (B, classes, *size) and depth (B, *size), metres along the ray, float32.
         Raises InputError unless H and W are multiples of 16.
         """
-        check_raster(z)
+        check_size(z, STRIDE, "a range image")
         merged = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
         x, skips = self.context(merged), []
         for block in self.down:

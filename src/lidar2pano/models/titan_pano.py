@@ -25,11 +25,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.geometry.rasters import nearest_row, pad_azimuth, upsample_azimuth
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.blocks import CircularConv, CircularResidual, conv_norm_act
+from lidar2pano.models.blocks import CircularConv, CircularResidual, check_size, conv_norm_act
 from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.scene.depth import FAR_M, LOG_FAR, complete_depth
 from lidar2pano.views import FULL_TURN, VIEWS, View
@@ -89,8 +88,7 @@ class TitanPano(nn.Module):
         Returns logits (B, classes, H, W) and depth (B, H, W), metres along the ray, float32.
         Raises InputError unless H and W are multiples of 16.
         """
-        if image.shape[-2] % STRIDE or image.shape[-1] % STRIDE:
-            raise InputError(f"a panorama of {tuple(image.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
+        check_size(image, STRIDE, "a panorama")
         fine = self.stem(continued(evidence(image), condition.to(image.dtype)))
         features, x = [], fine
         for level in self.levels:
