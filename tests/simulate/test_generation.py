@@ -200,6 +200,7 @@ def test_a_taller_panorama_shows_the_same_and_more(tmp_path):
         (["--save", "scan"], "scans"),
         (["--view", "panorama/3"], "panorama"),
         (["--hz", "0"], "hz"),
+        (["--sensor-height", "0.1"], "--sensor-height must lie between 0.3 and 4.0 metres"),
     ],
 )
 def test_mistakes_are_one_line_and_leave_nothing(words, part, tmp_path, capsys):
@@ -214,6 +215,33 @@ def test_another_world_is_not_mixed_in(made, capsys):
     before = contents(root)
     assert main(["world", str(root), *words, "--look", "evening"]) == 2
     assert "another world" in capsys.readouterr().err
+    assert contents(root) == before
+
+
+def test_a_sensor_stands_as_high_as_it_is_asked_to(tmp_path, capsys):
+    """Road points near it lie so far below it; the street is the same."""
+    words = ["--frames", "1", "--seed", "5", "--place", "residential", "--save", "scans", "--processes", "1"]
+    for height in (0.8, 1.73, 2.6):
+        out = tmp_path / str(height)
+        assert main(["world", str(out), *words, "--sensor-height", str(height)]) == 0
+        (frame,) = frames(out, "all")
+        xyz, road = frame.scan.xyz, frame.point_labels == 9
+        near = road & (np.hypot(xyz[:, 0], xyz[:, 1]) < 8)
+        assert near.sum() > 500
+        assert np.median(xyz[near, 2]) == pytest.approx(-height, abs=0.08)
+    assert f"--sensor-height {height}" in (out / "README.md").read_text()
+
+
+def test_a_world_of_fewer_settings_goes_on(made):
+    """It was made before sensors had heights; what was not said is as it is by default."""
+    root, words = made
+    card, before = root / "world.json", contents(root)
+    said = json.loads(card.read_text())
+    del said["sensor_height"]
+    card.write_text(json.dumps(said))
+    assert main(["world", str(root), *words]) == 0
+    assert main(["world", str(root), *words, "--sensor-height", "1"]) == 2
+    card.write_bytes(before["world.json"])
     assert contents(root) == before
 
 

@@ -29,6 +29,7 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     place: Annotated[
         str, typer.Option(metavar="NAME", help="residential, avenue, outskirts, country, motorway, centre; else mixed.")
     ] = "",
+    sensor_height: Annotated[float, typer.Option(metavar="M", help="Metres above the road.")] = 1.73,
     save: Annotated[
         str, typer.Option(metavar="LIST", help="scans, camera, panorama, separated by commas; or all.")
     ] = "all",
@@ -51,6 +52,7 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
         sensor=sensor,
         look=look,
         place=place,
+        sensor_height=sensor_height,
         save=SAVES if "all" in words else tuple(word for word in words if word != "scans"),
         views=tuple(view or ["panorama"]),
     )

@@ -69,7 +69,7 @@ def data_set_page(settings: WorldSettings) -> str:
         "source_datasets": ["original"],
     }
     values = {key: value for key, value in settings.as_dict().items() if key not in ("form", "save", "views")}
-    options = " ".join(f"--{key} {value}" for key, value in values.items() if value != "")
+    options = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in values.items() if value != "")
     if settings.save:
         options += "".join(f" --view {view}" for view in settings.views)
     options += f" --save {','.join(settings.save) or 'scans'}"
@@ -117,12 +117,16 @@ class SequenceWriter:
         P = " ".join(f"{value:.12e}" for value in np.column_stack([calibration.K, np.zeros(3)]).ravel())
         calib = "".join(f"P{index}: {P}\n" for index in range(4)) + f"Tr: {row}\n"
         time = np.arange(self.settings.frames) / self.settings.hz
-        poses = self.world.drive.poses(time)
+        poses = self.poses(time)
         poses_camera = T @ np.linalg.inv(poses[0]) @ poses @ np.linalg.inv(T)
         lines = [" ".join(f"{value:.9e}" for value in pose[:3].ravel()) for pose in poses_camera]
         write_text(self.folder / "calib.txt", calib)
         write_text(self.folder / "times.txt", "".join(f"{value:.6e}\n" for value in time))
         write_text(self.folder / "poses.txt", "\n".join(lines) + "\n")
+
+    def poses(self, time: np.ndarray) -> np.ndarray:
+        """T_world_lidar (N, 4, 4) float64 at times (N,) seconds."""
+        return self.world.drive.poses(time, self.settings.sensor_height)
 
     def scene(self, frame: int) -> Scene:
         """The static scene around a frame."""
@@ -135,14 +139,14 @@ class SequenceWriter:
     def scan(self, frame: int) -> Sweep:
         """The LiDAR scan of a frame."""
         time, sensor = frame / self.settings.hz, SENSOR_MODELS[self.settings.sensor]
-        pose = self.world.drive.poses(np.array([time]))[0]
+        pose = self.poses(np.array([time]))[0]
 
         def delay(position: np.ndarray) -> float:
             """Seconds until the turn passes a moving object."""
             return float(passing_time(sensor, pose, position[None])[0])
 
         def pose_after(ahead: np.ndarray) -> np.ndarray:
-            return self.world.drive.poses(time + ahead)
+            return self.poses(time + ahead)
 
         scene = self.world.scene_at(self.scene(frame), time, delay)
         return sweep(scene, sensor, pose_after, stream(self.seed, "sweep", frame))
@@ -150,7 +154,7 @@ class SequenceWriter:
     def images(self, frame: int) -> Iterator[tuple[str, RenderedImage]]:
         """The images of a frame: "camera" and each of the views, as far as they are saved."""
         time = frame / self.settings.hz
-        scene, pose = self.world.scene_at(self.scene(frame), time), self.world.drive.poses(np.array([time]))[0]
+        scene, pose = self.world.scene_at(self.scene(frame), time), self.poses(np.array([time]))[0]
         light = look(self.settings.look, self.seed)
         if "camera" in self.settings.save:
             yield "camera", render(scene, *pinhole(recording_camera(), pose), light, seed=frame)

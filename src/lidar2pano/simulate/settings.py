@@ -14,6 +14,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.simulate.layout.town import PLACES
+from lidar2pano.simulate.layout.traffic import SENSOR_HEIGHT
 from lidar2pano.simulate.render.looks import LOOKS
 from lidar2pano.simulate.sensor_models import SENSOR_MODELS
 from lidar2pano.views import KITTI_CAMERA, VIEWS, View
@@ -21,6 +22,7 @@ from lidar2pano.views import KITTI_CAMERA, VIEWS, View
 SAVES = ("camera", "panorama")
 FORMAT = 2  # raised when the same settings give another world
 IMAGE = (1242, 375)
+LOWEST, HIGHEST = 0.3, 4.0  # metres above the road: delivery robots, lorries
 MOST_FRAMES = 1_000_000  # of a world: some terabytes
 # KITTI's colour camera: focal length and principal point in pixels, tilt as on its car.
 K = np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]])
@@ -32,6 +34,7 @@ class WorldSettings:
     """Options of `lidar2pano world`.
 
     frames  per sequence, `hz` a second;  sensor in SENSOR_MODELS;  look in LOOKS;  place in PLACES, "" = random.
+    sensor_height  metres above the road; the camera is mounted on the sensor.
     save    names in SAVES, besides scans and labels;  views: rasters of the panorama, "panorama" or "panorama/2".
     """
 
@@ -41,6 +44,7 @@ class WorldSettings:
     sensor: str = "hdl64e"
     look: str = "day"
     place: str = ""
+    sensor_height: float = SENSOR_HEIGHT
     save: tuple[str, ...] = SAVES
     views: tuple[str, ...] = ("panorama",)
 
@@ -52,6 +56,8 @@ class WorldSettings:
             raise InputError(f"--seed must be at least 0 and at most {2**63 - 1}")
         if not 0.1 <= self.hz <= 100:
             raise InputError("--hz must lie between 0.1 and 100 frames a second")
+        if not LOWEST <= self.sensor_height <= HIGHEST:
+            raise InputError(f"--sensor-height must lie between {LOWEST} and {HIGHEST} metres")
         for value, table, option in (
             (self.sensor, SENSOR_MODELS, "--sensor"),
             (self.look, LOOKS, "--look"),
@@ -98,8 +104,9 @@ def claim_folder(out: Path, settings: WorldSettings) -> None:
         stored = read_json(card, "remove it, or choose another folder")
         if not isinstance(stored, dict):
             raise InputError(f"{card}: holds no settings of a world; remove it, or choose another folder")
-        if changed := [key for key in expected if stored.get(key) != expected[key]]:
-            was = ", ".join(f"{key}={stored.get(key)!r}" for key in changed)
+        stored = WorldSettings().as_dict() | stored  # earlier versions had fewer settings
+        if changed := [key for key in expected if stored[key] != expected[key]]:
+            was = ", ".join(f"{key}={stored[key]!r}" for key in changed)
             raise InputError(f"{out}: holds another world ({was}); repeat its settings, or choose another folder")
         return
     if (out / "sequences").exists():

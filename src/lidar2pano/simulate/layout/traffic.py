@@ -88,8 +88,8 @@ class Drive:
         """Metres (N,) along the main road."""
         return ROAD_MARGIN + self.speed.travelled(time)
 
-    def poses(self, time: np.ndarray) -> np.ndarray:
-        """T_world_lidar (N, 4, 4) float64 at times (N,) seconds."""
+    def poses(self, time: np.ndarray, height_m: float = SENSOR_HEIGHT) -> np.ndarray:
+        """T_world_lidar (N, 4, 4) float64 at times (N,) seconds, of a sensor some metres above the road."""
         time = np.asarray(time, dtype=np.float64).reshape(-1)
         wave = self.sway[:, 0] * np.sin(2 * np.pi * time[:, None] / self.sway[:, 1] + self.sway[:, 2])
         xy, heading = self.town.roads[0].at(self.along(time), self.lane + wave[:, 0])
@@ -105,7 +105,7 @@ class Drive:
         T[:, :3, :3] = np.stack([ahead, np.cross(up, ahead), up], axis=2)
         T[:, :2, 3] = xy
         T[:, 2, 3] = self.town.terrain.height(xy)
-        T[:, :3, 3] += SENSOR_HEIGHT * up
+        T[:, :3, 3] += height_m * up
         return T
 
 
