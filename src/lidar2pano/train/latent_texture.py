@@ -40,8 +40,8 @@ class LatentTextureOptions(LatentPaintingOptions):
     statistics   weight of the distance of patches' features from the distribution of their class in photographs.
     adversarial  weight of the hinge loss of the critic.
     augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
-    unpaired_probability  of a simulated sample to be painted as a photograph, and of any photograph to be shown to the
-                 critic without its scene: patches and critic alone judge the former (cf. Richter et al. 2023,
+    unpaired_probability  of a simulated sample to be painted as a photograph, and of any other picture to be shown to
+                 the critic without its scene: patches and critic alone judge the former (cf. Richter et al. 2023,
                  Enhancing photorealism enhancement).
     """
 
