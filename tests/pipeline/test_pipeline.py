@@ -398,7 +398,7 @@ def test_a_sensor_that_measures_more_gets_more_rows():
 
 def test_rows_must_divide(pipeline):
     view = replace(VIEWS["hdl64e"], rows=40, columns=64)
-    with pytest.raises(InputError, match="40 x 64 pixels does not fit"):
+    with pytest.raises(InputError, match="a range image of 40 x 64 pixels: rows, columns must divide by 16"):
         replace(pipeline.segmenter, view=view).points(street())
 
 

@@ -21,7 +21,7 @@ LARGE = 1 << 22  # numbers in an image from which on a copy of it takes longer t
 
 
 def check_size(image: Tensor, divisor: int, noun: str) -> None:
-    """Raise InputError, which calls the image (..., H, W) by a noun, unless its rows and columns divide by a number."""
+    """Raise InputError, with a noun for the image (..., H, W), unless its rows and columns divide by a number."""
     rows, columns = image.shape[-2:]
     if rows % divisor or columns % divisor:
         raise InputError(f"{noun} of {rows} x {columns} pixels: rows, columns must divide by {divisor}")

@@ -101,7 +101,7 @@ class LatentTexture(LatentPainting):
         yield "painter", loss + torch.stack(list(terms.values())).sum()
 
     def _paired(self, look: Tensor) -> Tensor:
-        """Return which samples (B,) are judged beside their own pictures: all photographs, and at least one sample."""
+        """Return the samples (B,) bool to be judged beside their own pictures: all photographs, and at least one."""
         drawn = torch.rand(len(look), device=look.device) >= self.options.unpaired_probability
         paired = (look == PHOTOGRAPH) | drawn
         return paired | ~paired.any()
