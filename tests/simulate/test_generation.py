@@ -241,6 +241,8 @@ def test_a_world_of_fewer_settings_goes_on(made):
     card.write_text(json.dumps(said))
     assert main(["world", str(root), *words]) == 0
     assert main(["world", str(root), *words, "--sensor-height", "1"]) == 2
+    card.write_text("{}")
+    assert main(["world", str(root), *words]) == 2
     card.write_bytes(before["world.json"])
     assert contents(root) == before
 

@@ -104,9 +104,9 @@ def claim_folder(out: Path, settings: WorldSettings) -> None:
         stored = read_json(card, "remove it, or choose another folder")
         if not isinstance(stored, dict):
             raise InputError(f"{card}: holds no settings of a world; remove it, or choose another folder")
-        stored = WorldSettings().as_dict() | stored  # earlier versions had fewer settings
-        if changed := [key for key in expected if stored[key] != expected[key]]:
-            was = ", ".join(f"{key}={stored[key]!r}" for key in changed)
+        stored = {"sensor_height": SENSOR_HEIGHT} | stored  # worlds were made before it could be set
+        if changed := [key for key in expected if stored.get(key) != expected[key]]:
+            was = ", ".join(f"{key}={stored.get(key)!r}" for key in changed)
             raise InputError(f"{out}: holds another world ({was}); repeat its settings, or choose another folder")
         return
     if (out / "sequences").exists():
