@@ -243,24 +243,31 @@ def mixed(
     details change at a seam, means of cells, one in CELL_PX pixels of each row and column, fade over the whole overlap.
     """
     size = view.rows * view.columns
-    narrow, cells = torch.zeros(4, view.rows, view.columns), torch.full((view.rows, view.columns), -1)
-    wide = torch.zeros_like(narrow[_GRID], memory_format=torch.contiguous_format)
-    cells[_GRID[1:]] = torch.arange(wide[0].numel()).view(wide[0].shape)
-    source = torch.zeros(size, dtype=torch.uint8)
+    narrow, source = torch.zeros(4, view.rows, view.columns), torch.zeros(size, dtype=torch.uint8)
     weights = seam_weights(sights, size, view)
-    for number, (camera, layer, sight, weight) in enumerate(zip(cameras, layers, sights, weights, strict=True), 1):
+    for number, (layer, sight, weight) in enumerate(zip(layers, sights, weights, strict=True), 1):
         source.index_fill_(0, sight.surface.index_select(0, indices_of(weight == 1)), number)
         _count(narrow, sight.surface, layer, weight)
-        cell = cells.view(-1).index_select(0, sight.surface)
-        chosen = indices_of(cell >= 0)
-        inwards = _inwards(camera, sight.place.index_select(1, chosen))
-        _count(wide, cell.index_select(0, chosen), layer.index_select(1, chosen), inwards)
     colour = narrow[:3] / narrow[3].clamp(min=1e-9)
     source = source.view(view.rows, view.columns)
     if len(cameras) > 1:
-        faded = _smooth_means(wide) - _smooth_means(narrow[_GRID])
+        faded = _smooth_means(_wide(layers, sights, cameras, view)) - _smooth_means(narrow[_GRID])
         colour.addcmul_(enlarged_planes(faded, SMOOTH_PX)[:, : view.rows, : view.columns], as_float(source > 0))
     return colour, source
+
+
+def _wide(layers: Sequence[Tensor], sights: Sequence[Sight], cameras: Sequence[Camera], view: View) -> Tensor:
+    """Return sums (4, h, w) on the grid of weighted colours and weights, which fade to the borders of the images."""
+    cells = torch.full((view.rows, view.columns), -1)
+    grid = cells[_GRID[1:]]
+    grid.copy_(torch.arange(grid.numel()).view(grid.shape))
+    sums = torch.zeros(4, *grid.shape)
+    for camera, layer, sight in zip(cameras, layers, sights, strict=True):
+        cell = cells.view(-1).index_select(0, sight.surface)
+        chosen = indices_of(cell >= 0)
+        inwards = _inwards(camera, sight.place.index_select(1, chosen))
+        _count(sums, cell.index_select(0, chosen), layer.index_select(1, chosen), inwards)
+    return sums
 
 
 def _count(sums: Tensor, place: Tensor, colours: Tensor, weights: Tensor) -> None:
