@@ -107,8 +107,7 @@ def remember(memory: Memory, scene: Scene) -> tuple[Memory, Scene]:
     around = Surroundings.of(scene)
     if memory.around is not None:
         around = fused(around, memory.around, scene.view)
-    parts = {"probabilities": around.probabilities, "depth_m": around.depth_m, "surface_share": around.surface_share}
-    return replace(memory, around=around), replace(scene, **parts)
+    return replace(memory, around=around), replace(scene, probabilities=around.probabilities, depth_m=around.depth_m)
 
 
 def steady(memory: Memory, image: Tensor, view: View) -> tuple[Memory, Tensor]:

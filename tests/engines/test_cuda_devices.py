@@ -6,6 +6,9 @@ height of the road) cannot be followed in this way.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -79,9 +82,12 @@ def test_what_a_painter_reads_stays_on_its_device(monkeypatch):
     scene = Scene(
         view=TRANSLATOR_VIEW, channels=channels, probabilities=segments, depth_m=depth_m, viewpoint_m=viewpoint_m
     )
+    posed = replace(scene, T_world_sensor=np.eye(4))
+    particles, noise = world_noise(None, posed, 4, 4)
     parts = [
         conditions_of(scene),
-        world_noise(scene, 4, 4),
+        noise,
+        world_noise(particles, posed, 4, 4)[1],
         upsample_classes(segments, 2),
         upsample_azimuth(depth_m[None], 2),
     ]

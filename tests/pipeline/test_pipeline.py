@@ -117,7 +117,6 @@ def test_a_stream_with_poses_paints_the_mean_of_its_scans(pipeline):
     for scene, expected in zip(painted, (first, mean), strict=True):
         assert torch.allclose(scene.probabilities, expected.probabilities, atol=1e-5)
         assert torch.allclose(scene.depth_m, expected.depth_m, rtol=1e-4)
-        assert torch.equal(scene.surface_share, expected.surface_share)
 
 
 def test_streams_share_nothing(pipeline):

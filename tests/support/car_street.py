@@ -6,7 +6,8 @@ import math
 
 import torch
 
-from lidar2pano.scene.surfaces import slopes, world_columns
+from lidar2pano.geometry.projection import headings_and_rises
+from lidar2pano.scene.surfaces import slopes
 from lidar2pano.views import View
 
 ABOVE_M, FAR_M = 1.65, 40.0  # height of the viewpoint above the road; distance of the wall
@@ -38,7 +39,7 @@ def street(*places: tuple[float, float, float], view: View) -> tuple[torch.Tenso
     slope = slopes(view)[:, None].expand(view.rows, view.columns)
     radius_m = torch.where(slope < 0, ABOVE_M / -slope, math.inf).clamp(max=FAR_M)
     ids = torch.where(radius_m < FAR_M, ROAD, WALL)
-    ray = world_columns(view, None, slope.device)[0].float()
+    ray = headings_and_rises(view)[0].float()
     for place in places:
         near = box_distance(ray, slopes(view), *place)
         ids = torch.where(near < radius_m, CAR, ids)

@@ -131,18 +131,27 @@ def moved_distances(before_m: Tensor, T_now_before: Tensor, view: View) -> Tenso
 
 
 def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
-    """Where what each pixel shows was in the previous frame, (H, W, 3) float64 from the raster's point; and the point.
-
-    Of a ray that ends nowhere only its direction moves.
-    """
+    """Where what a pixel shows was in the previous frame, (H, W, 3) float64 from the raster's point; and the point."""
     device = now_m.device
     rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
-    place = raster.origin if isinstance(raster, View) else raster.centre
-    origin, T = torch.tensor(place, dtype=torch.float64, device=device), T_before_now.to(device).double()
+    origin = torch.tensor(
+        raster.origin if isinstance(raster, View) else raster.centre, dtype=torch.float64, device=device
+    )
+    return moved_ends(rays, now_m, T_before_now, origin), origin
+
+
+def moved_ends(rays: Tensor, distance_m: Tensor, T: Tensor, origin: Tensor) -> Tensor:
+    """Return where the ends of rays from a point are seen from it in another frame, (..., 3) float64 metres.
+
+    rays    (..., 3) float64 unit vectors, sensor axes;  distance_m: (...) metres, of a ray that ends nowhere infinite:
+            of that only the direction moves.
+    T       (4, 4): the rays' coordinates -> the other frame's, metres;  origin: (3,) float64, the point in both frames.
+    """
+    T = T.to(rays)
     turn, step = T[:3, :3], T[:3, :3] @ origin + T[:3, 3] - origin
-    far = now_m.isinf()[..., None]
-    measured = (now_m.double()[..., None].where(~far, 0.0) * rays) @ turn.T + step
-    return torch.where(far, rays @ turn.T, measured), origin
+    far = distance_m.isinf()[..., None]
+    measured = (distance_m.double()[..., None].where(~far, 0.0) * rays) @ turn.T + step
+    return torch.where(far, rays @ turn.T, measured)
 
 
 def camera_rays(calibration: Calibration) -> Tensor:
@@ -190,7 +199,12 @@ def _unoccluded(before_m: Tensor, shift: Tensor, expected: Tensor, circular: boo
     """
     inverse_and_valid = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
     inverse, known = warp(inverse_and_valid[None], shift[None], circular=circular)[0]
-    return (known > 0.999) & ((inverse - expected).abs() <= same * torch.maximum(inverse, expected) + FAINT)
+    return (known > 0.999) & are_same(inverse, expected, same)
+
+
+def are_same(inverse: Tensor, other: Tensor, share: float) -> Tensor:
+    """Return where two inverse distances, 1/m and of any one shape, are of one surface: they differ by a share."""
+    return (inverse - other).abs() <= share * torch.maximum(inverse, other) + FAINT
 
 
 def _completed(values: Tensor) -> Tensor:

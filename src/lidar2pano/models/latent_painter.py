@@ -26,7 +26,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder, encode_columns
 from lidar2pano.models.blocks import CircularConv, check_size
 from lidar2pano.models.stream_painter import QUALITIES
-from lidar2pano.models.world_noise import world_noise
+from lidar2pano.models.world_noise import Particles, world_noise
 from lidar2pano.scene.depth import FAR_M, depth_code
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import normals, slopes
@@ -370,13 +370,13 @@ class LatentPainter(nn.Module):
         conditioned, free = self.flow(conditions, shares, mean, noisy, time, moment, *twice).chunk(2)
         return torch.lerp(free, conditioned, self.guidance)
 
-    def paint(self, past: None, scene: Scene, look: str = "") -> tuple[None, Tensor]:  # noqa: ARG002 it needs no past
+    def paint(self, past: Particles | None, scene: Scene, look: str = "") -> tuple[Particles | None, Tensor]:
         """Paint a scan; arguments and answer as of StreamPainter. The noise hangs on the world."""
         conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
         shares = torch.tensor([self.look_shares(look)], device=conditions.device)
-        noise = world_noise(scene, self.latents, FOLD, self.seed)
+        particles, noise = world_noise(past, scene, self.latents, FOLD, self.seed)
         clues = self.clues(*scene.photographed) if scene.photographed else None
-        return None, self.decoder(self.latents_of(conditions, shares, noise, clues)).clamp(-1, 1)
+        return particles, self.decoder(self.latents_of(conditions, shares, noise, clues)).clamp(-1, 1)
 
     def clues(self, picture: Tensor, shown: Tensor) -> Clues:
         """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) for its pixels in view, (1, FACTOR h, FACTOR w).

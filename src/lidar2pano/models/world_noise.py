@@ -1,53 +1,100 @@
-"""Noise that hangs on the world: the texture of a place is the same in every scan of a drive."""
+"""Noise that hangs on the world: a place keeps the noise that it was first painted from, while it is in view.
+
+Each pixel of the latents has a particle that carries its noise on (cf. Chang et al. 2024, How I warped your noise). A
+particle belongs to one pixel alone, so that noise stays white. (Noise that was a function of the world's cells did not
+stay: predicted depths waver by more than a cell.)
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.labels import COMMON15
+from lidar2pano.geometry.flow import are_same, moved_ends
+from lidar2pano.geometry.projection import directions, nearest_points, pixels
+from lidar2pano.memory import SAME
 from lidar2pano.scene.record import Scene
-from lidar2pano.scene.surfaces import world_columns
-from lidar2pano.views import PANORAMA
+from lidar2pano.scene.surfaces import azimuths
+from lidar2pano.views import PANORAMA, View
 
-SKY = COMMON15.id_of("sky")
-SKY_OCTAVE = 1 << 10  # the sky's noise hangs on directions: it has an octave of its own
-FACTORS = (0x1F0A2BE71D163FA1, 0x3C6EF372FE94F82B, 0x510E527FADE682D1, 0x1B873593CC9E2D51)  # odd, of the hashed numbers
+FACTORS = (0x1F0A2BE71D163FA1, 0x3C6EF372FE94F82B, 0x510E527FADE682D1)  # odd, of the hashed numbers
 MIXED = ((30, -0x40A7B892E31B1A47), (27, -0x6B2FB644ECCEEE15))  # splitmix64's shifts and factors (Steele et al. 2014)
 UNIFORM_BITS = 24
 
 
-def world_noise(scene: Scene, channels: int, fold: int, seed: int = 0) -> Tensor:
-    """Return normal noise (1, channels, H / fold, W / fold) float32, fixed to the surfaces of the world.
+class Particles(NamedTuple):
+    """Noise, and where it hangs: one particle in each pixel of the latents' raster h x w.
 
-    It is a function of the world's cell around the middle of a pixel of the latents: a cube whose edge is
-    a power of two metres, half to once a pixel's width at that distance; in the sky of the direction. A drive thus
-    keeps its textures.
+    noise           (channels, h, w) float32.
+    rays            (h, w, 3) float64: unit vectors from the view's origin to the particles, sensor axes.
+    distance_m      (h, w) float32 metres from there; infinite in the sky.
+    T_world_sensor  (4, 4) float64, metres.
+    scan            number of the scan in its stream.
+    """
+
+    noise: Tensor
+    rays: Tensor
+    distance_m: Tensor
+    T_world_sensor: np.ndarray
+    scan: int
+
+
+def world_noise(
+    past: Particles | None, scene: Scene, channels: int, fold: int, seed: int = 0
+) -> tuple[Particles | None, Tensor]:
+    """Return the particles, None without a pose, and normal noise (1, channels, H / fold, W / fold) float32.
+
+    past   particles of the previous scan. Those that the scene shows, at about their distance, come along; in a pixel
+           that several reach, the one nearest to its middle stays. The others, and all without a pose, are new.
     scene  a single one;  fold: pixels of its raster per pixel of the latents, in rows and in columns.
     seed   another one gives another picture.
     """
-    view, device = scene.view, scene.depth_m.device
-    middle = (slice(None), slice(fold // 2, None, fold), slice(fold // 2, None, fold))
-    radius_m, z_m = (part[middle][0].double() for part in scene.cylinder)
-    direction, place = world_columns(view, scene.T_world_sensor, device)
-    pose_z = 0.0 if scene.T_world_sensor is None else float(scene.T_world_sensor[2, 3])
-    direction = direction[:, fold // 2 :: fold]
-    x, y = (place[axis] + radius_m * direction[axis] for axis in (0, 1))
-    octave = (radius_m.clamp(min=1e-3) * fold / view.focal_px).log2().floor()
-    cells = [(part / octave.exp2()).floor() for part in (x, y, z_m + view.origin[2] + pose_z)]
-    azimuth = torch.atan2(direction[1], direction[0]) * view.focal_px / fold
-    first = round((PANORAMA.up - view.up) * view.rows / (view.up - view.down) / fold)  # row: numbers are elevations
-    rows = torch.arange(first, first + len(radius_m), device=device, dtype=torch.float64)[:, None].expand_as(radius_m)
-    sky = scene.ids[middle][0] == SKY
-    celestial = (azimuth.round().expand_as(rows), rows, torch.zeros_like(rows), torch.full_like(rows, SKY_OCTAVE))
-    numbers = [
-        torch.where(sky, of_sky, of_surface).long()
-        for of_sky, of_surface in zip(celestial, (*cells, octave), strict=True)
-    ]
-    key = sum((number * factor for number, factor in zip(numbers, FACTORS, strict=True)), start=numbers[0] * 0 + seed)
-    return _normal(_hashed(key), channels)[None]
+    raster = scene.view.scaled(1 / fold)
+    scan = 0 if past is None else past.scan + 1
+    noise = _direction_noise(raster, channels, scan, seed, scene.depth_m.device)
+    if scene.T_world_sensor is None:
+        return None, noise[None]
+    rays = directions(raster, device=noise.device).double()
+    distance_m = scene.distance_m[0, fold // 2 :: fold, fold // 2 :: fold]
+    new = Particles(noise, rays, distance_m, scene.T_world_sensor, scan)
+    particles = new if past is None or past.noise.shape != noise.shape else _carried(past, new, raster)
+    return particles, particles.noise[None]
+
+
+def _carried(past: Particles, new: Particles, raster: View) -> Particles:
+    """Return new particles in whose places those of the previous scan are that have come there."""
+    T_now_before = torch.from_numpy(np.linalg.inv(new.T_world_sensor) @ past.T_world_sensor)
+    ends = moved_ends(past.rays, past.distance_m, T_now_before, past.rays.new_tensor(raster.origin))
+    row, column = pixels(*ends.unbind(-1), raster)
+    pixel_row, pixel_column = row.floor(), column.floor()
+    inside = (pixel_row >= 0) & (pixel_row < raster.rows)
+    if not raster.circular:
+        inside &= (pixel_column >= 0) & (pixel_column < raster.columns)
+    cells = raster.rows * raster.columns
+    cell = torch.where(inside, pixel_row * raster.columns + pixel_column.remainder(raster.columns), 0).long()
+    inverse = torch.where(past.distance_m.isfinite(), 1 / ends.norm(dim=-1), 0.0)
+    inside &= are_same(1 / new.distance_m.flatten()[cell], inverse, SAME)
+    offset = torch.hypot(row - pixel_row - 0.5, column - pixel_column - 0.5).float()
+    index = nearest_points(torch.where(inside, cell, cells).flatten(), offset.flatten(), cells).view(row.shape)
+    came, source = index >= 0, index.clamp(min=0)
+    rays = (ends / ends.norm(dim=-1, keepdim=True)).flatten(0, 1)[source]
+    return new._replace(
+        noise=torch.where(came, past.noise.flatten(1)[:, source], new.noise),
+        rays=torch.where(came[..., None], rays, new.rays),
+    )
+
+
+def _direction_noise(raster: View, channels: int, scan: int, seed: int, device: torch.device) -> Tensor:
+    """Return noise (channels, h, w) of a raster's directions: the same on rasters of other rows or columns."""
+    first_row = round((PANORAMA.up - raster.up) * raster.rows / (raster.up - raster.down))
+    row = torch.arange(first_row, first_row + raster.rows, device=device)[:, None]
+    column = (azimuths(raster, device=device) * raster.focal_px).floor().long()
+    key = row * FACTORS[0] + column * FACTORS[1] + row.new_tensor(scan) * FACTORS[2] + seed
+    return _normal(_hashed(key), channels)
 
 
 def _hashed(key: Tensor) -> Tensor:

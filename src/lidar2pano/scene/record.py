@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from lidar2pano.geometry.rasters import likeliest
@@ -13,7 +14,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.scene.surfaces import cylinder_points, viewpoint_height
 from lidar2pano.views import View
 
-ROAD = COMMON15.id_of("road")
+ROAD, SKY = COMMON15.id_of("road"), COMMON15.id_of("sky")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,8 +49,6 @@ class Scene:
     probabilities   (1, 16, H, W) float32 of COMMON15.
     depth_m         (1, H, W) float32 metres from the view's origin along the ray.
     viewpoint_m     (1,) float32 metres: height of the view's origin above the road.
-    surface_share   (H, W) float32: probability that a pixel shows a surface and not the sky, of a scene that is fused
-                    over time; None for a single scan.
     T_world_sensor  (4, 4) float64, the sensor's pose in a static frame; None where it is unknown.
     points          the scan's points; None in training.
     photographed    colours (1, 3, 2H, 2W) float32 in [-1, 1] of cameras, and the pixels in their sight,
@@ -62,7 +61,6 @@ class Scene:
     probabilities: Tensor
     depth_m: Tensor
     viewpoint_m: Tensor
-    surface_share: Tensor | None = None
     T_world_sensor: np.ndarray | None = None
     points: ScanPoints | None = None
     photographed: tuple[Tensor, Tensor] | None = None
@@ -98,6 +96,11 @@ class Scene:
     def cylinder(self) -> tuple[Tensor, Tensor]:
         """Distances from the view's axis and heights above its origin, (1, H, W) float32 metres each."""
         return cylinder_points(self.depth_m, self.view)
+
+    @property
+    def distance_m(self) -> Tensor:
+        """(1, H, W) float32 metres: depths, infinite in the sky."""
+        return torch.where(self.ids == SKY, torch.inf, self.depth_m)
 
     @cached_property
     def ids(self) -> Tensor:

@@ -57,17 +57,6 @@ def azimuths(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     return math.radians(view.left) - column / view.columns * math.radians(view.left - view.right)
 
 
-def world_columns(view: View, T_world_sensor: np.ndarray | None, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Return the columns' directions in the world, from above: unit vectors (2, W), and the place (2,) m; float64.
-
-    T_world_sensor  (4, 4); None: the world is the sensor frame.
-    """
-    pose = np.eye(4) if T_world_sensor is None else np.asarray(T_world_sensor, dtype=np.float64)
-    angle = azimuths(view, device=device) + math.atan2(pose[1, 0], pose[0, 0])
-    place = torch.from_numpy((pose[:3, :3] @ np.array(view.origin) + pose[:3, 3])[:2])
-    return torch.stack([angle.cos(), angle.sin()]), place.to(device)
-
-
 def cylinder_points(depth_m: Tensor, view: View) -> tuple[Tensor, Tensor]:
     """Return the distance from the view's axis and the height above its origin, (B, H, W) float32 metres each.
 
