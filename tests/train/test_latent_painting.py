@@ -360,6 +360,34 @@ def test_a_scene_without_a_photograph_is_judged_by_patches_and_critic_alone(plac
     assert {group // 16 for group, _ in task.distributions.groups} == {0}
 
 
+def test_colours_of_a_scene_without_a_photograph_are_those_of_its_next_painting(place):
+    """Of the same world, turned by some pixels: what depends on the scene alone has no loss, what changes has."""
+    options = ("options.augment_probability=0", "options.unpaired_probability=1", "options.pooled=1")
+    task = textured(place, *options, looks=("photograph", "day"))
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(3)])
+    paired = torch.tensor([False, True, False])
+    batch = as_photographs(batch._replace(look=torch.tensor([1, 0, 1])), ~paired)
+    turns, changes = [], iter((0.0, 0.5))
+
+    def painted(samples):
+        turns.append(len(samples.look))
+        scene = samples.conditions[:, 23:26].repeat_interleave(2, -1).repeat_interleave(2, -2)
+        return scene + next(changes, 0)
+
+    task.painted = painted
+    made, photographed = painted(batch), batch.picture[1]
+    for seed in range(3):
+        torch.manual_seed(seed)
+        assert torch.equal(task._painted_anew(batch, ~paired), made[::2] + 0.5 * (seed == 0))
+    assert turns == [3, 2, 2, 2]
+    pooled = torch.nn.functional.avg_pool2d
+    column = batch.shown[1].any(0)
+    error = (pooled(made[1], 4) - pooled(torch.where(column, photographed, made[1]), 4)).square().mean()
+    torch.testing.assert_close(task._pooled_loss(made, batch, paired), error / 3)
+    changes = iter((0.5,))
+    torch.testing.assert_close(task._pooled_loss(made, batch, paired), (error + 2 * 0.5**2) / 3)
+
+
 def test_samples_that_become_photographs_show_nothing(sectors, place):
     task = textured(place)
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])

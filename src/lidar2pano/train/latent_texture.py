@@ -19,8 +19,9 @@ from torch.nn.functional import interpolate, mse_loss
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.losses import Patches, PatchStatistics, pooled
 from lidar2pano.losses.adversarial import DiffAugment
+from lidar2pano.models.autoencoder import FACTOR
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
-from lidar2pano.models.latent_painter import CLASSES, CONDITIONS
+from lidar2pano.models.latent_painter import CLASSES, CONDITIONS, FOLD, STRIDE
 from lidar2pano.train.autoencoding import Texture
 from lidar2pano.train.latent_frames import LatentSample, PicturedFrames
 from lidar2pano.train.latent_painting import LatentPainting, LatentPaintingOptions, latent_painter
@@ -37,6 +38,7 @@ class LatentTextureOptions(LatentPaintingOptions):
     flow         weight of the loss of the flow.
     perceptual   weight of the mean absolute error of frozen features, each in units of its deviation.
     pooled       weight of the squared error of colours, means of 4 x 4 pixels; also above and below the photograph.
+                 Without a photograph: of their change from one painting of the scene to another.
     statistics   weight of the distance of patches' features from the distribution of their class in photographs.
     adversarial  weight of the hinge loss of the critic.
     augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
@@ -77,7 +79,7 @@ class LatentTexture(LatentPainting):
         paired = self._paired(batch.look)
         batch = as_photographs(batch, ~paired)
         made = self.painted(batch)
-        terms = {"pooled": options.pooled * self._pooled_loss(made, batch)}
+        terms = {"pooled": options.pooled * self._pooled_loss(made, batch, paired)}
         real = torch.where(batch.shown[:, None], batch.picture, made.detach())
         augment = DiffAugment.drawn(len(made), options.augment_probability)
         shown = batch.shown[:, None]
@@ -111,14 +113,25 @@ class LatentTexture(LatentPainting):
         shares = self.shares(look)[:, :, None, None, None] * conditions[:, None, CLASSES]
         return shares.flatten(1, 2)
 
-    @staticmethod
-    def _pooled_loss(made: Tensor, batch: LatentSample) -> Tensor:
+    def _pooled_loss(self, made: Tensor, batch: LatentSample, paired: Tensor) -> Tensor:
         """Return the squared error of pooled colours; above and below what a camera shows, its last pixels count.
 
-        (Where nothing counted, the rows at the foot became a bright strip.)
+        (Where nothing counted, the rows at the foot became a bright strip.) The goal of a sample without a photograph
+        is what is painted of its scene once more: colours that hang on noise flicker in a drive.
         """
         columns = batch.shown.any(1, keepdim=True)[:, None]
-        return mse_loss(pooled(made), pooled(torch.where(columns, batch.picture, made.detach())))
+        goal = torch.where(columns, batch.picture, made.detach())
+        if not paired.all():
+            goal[~paired] = self._painted_anew(batch, ~paired)
+        return mse_loss(pooled(made), pooled(goal))
+
+    @torch.no_grad()
+    def _painted_anew(self, batch: LatentSample, chosen: Tensor) -> Tensor:
+        """Return pictures of the chosen samples (B,) bool from new noise, as of a sensor turned by some pixels."""
+        chosen_batch = LatentSample(*(part[chosen] for part in batch))
+        turn = int(torch.randint(STRIDE, ()))
+        turned = self.painted(chosen_batch._replace(conditions=chosen_batch.conditions.roll(turn, -1)))
+        return turned.roll(-turn * (FACTOR // FOLD), -1)
 
     def painted(self, batch: LatentSample) -> Tensor:
         """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from new noise."""
