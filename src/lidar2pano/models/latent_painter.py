@@ -345,6 +345,10 @@ class LatentPainter(nn.Module):
         kept, moment = kept[:, None, None, None], moment_of(time, step)
         return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, moment, photograph, style)
 
+    def encode(self, picture: Tensor) -> Tensor:
+        """Return the normalised latents (B, latents, H/8, W/8) of pictures (B, 3, H, W) in [-1, 1]."""
+        return self.decoder.normalised(self.encoder(picture).float())
+
     def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor, clues: Clues | None = None) -> Tensor:
         """Return normalised latents (B, latents, h, w) float32 from noise of that shape; arguments of MeanNetwork."""
         mean, x = self.mean(conditions, shares).float(), noise

@@ -20,6 +20,7 @@ FULL: dict[str, tuple[str, ...]] = {
     "autoencoding": ("autoencoder",),
     "latent_painting": ("latent-painter",),
     "latent_texture": ("latent-texture",),
+    "encoding": ("latent-encoder",),
     "front": ("titan", "titan-no-lovasz", "titan-no-range", "titan-next", "pix2pix-segments"),
     "colour": ("titan-no-segments", "pix2pix-rgb", "scunet"),
     "camera_segmentation": ("sdnet",),

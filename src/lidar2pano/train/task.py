@@ -45,7 +45,8 @@ class Task(Protocol):
 
     networks  name -> network, each with the recipe's optimiser of the same name. The loop puts
               them on the device and replaces the entries by wrapped ones, so look them up here whenever they are
-              called, and call nothing but the networks themselves (their `forward`).
+              called, and call nothing but the networks themselves (their `forward`, and methods that an attribute
+              `methods` names).
     released  names of the networks for weight files; averaged over steps if the recipe says so.
     dataset   training samples.
     logs      other numbers worth a curve, as of the last step (float or tensor with one element).

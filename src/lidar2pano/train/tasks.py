@@ -10,6 +10,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.train.autoencoding import Autoencoding
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
+from lidar2pano.train.encoding import Encoding
 from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2PixSegments
 from lidar2pano.train.latent_painting import LatentPainting
 from lidar2pano.train.latent_texture import LatentTexture
@@ -32,6 +33,7 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "autoencoding": Autoencoding,
     "latent-painting": LatentPainting,
     "latent-texture": LatentTexture,
+    "encoding": Encoding,
     "video": VideoPainting,
 }
 
