@@ -39,16 +39,20 @@ family() { # NAME SEGMENTER TRANSLATOR PAINTER DATA SPLIT LICENCE
   python "$here/release_family.py" "$out/$1" "$1" "$out/$1.json" --licence "$7"
 }
 
-# Painters learn from photographs, and from towns in their own looks what no camera sees: an autoencoder, then mean and flow
-# of its latents, then texture. runs/stages/ says what made the released ones.
-painter() { # NAME DATA PHOTOGRAPHS SEGMENTER TRANSLATOR
-  local name=$1 data=$2 networks=(options.segmenter="$4" options.translator="$5")
+# A painter learns from photographs, and from towns in their own looks what no camera sees: an autoencoder, then mean and
+# flow of its latents, then texture, then a smaller encoder. That of `streets` goes on from the texture of `world`.
+# runs/stages/ says what made the released ones.
+latents() { # NAME DATA PHOTOGRAPHS SEGMENTER TRANSLATOR
   local set=(data.train="$3,$day:all,$pictures" training.validate_minutes=0)
-  stage "$name-pictures" autoencoder "$data" 70 "${set[@]}" options.perceptual=0 options.adversarial=0
-  networks+=(options.autoencoder="$(weights "$name-pictures" autoencoder)")
-  stage "$name-latents" latent-painter "$data" 240 "${set[@]}" "${networks[@]}"
-  stage "$name-painter" latent-texture "$data" 95 "${set[@]}" "${networks[@]}" \
-    networks.painter.start="$(weights "$name-latents" painter)"
+  stage "$1-pictures" autoencoder "$2" 70 "${set[@]}" options.perceptual=0 options.adversarial=0
+  stage "$1-latents" latent-painter "$2" 240 "${set[@]}" options.segmenter="$4" options.translator="$5" \
+    options.autoencoder="$(weights "$1-pictures" autoencoder)"
+}
+painter() { # NAME DATA PHOTOGRAPHS SEGMENTER TRANSLATOR RUN-OF-THE-START
+  local set=(data.train="$3,$day:all,$pictures" training.validate_minutes=0)
+  stage "$1-texture" latent-texture "$2" 95 "${set[@]}" options.segmenter="$4" options.translator="$5" \
+    networks.painter.start="$(weights "$6" painter)"
+  stage "$1-painter" latent-encoder "$2" 25 "${set[@]}" options.painter="$(weights "$1-texture" painter)"
 }
 
 # Towns. Scans alone are cheap; pictures all around cost four seconds a frame on two cores. Nothing learns from `test`.
@@ -104,7 +108,8 @@ stage world-translator release-translator "$day" 75 data.train="all,$pictures" t
   options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3
 taller world-tall release-translator "$day" "$pictures" "$(weights world-segmenter segmenter)" world-translator
 networks=("$(weights world-segmenter segmenter)" "$(weights world-tall translator)")
-painter world "$day" "${CLEAN:-all}" "${networks[@]}"
+latents world "$day" "${CLEAN:-all}" "${networks[@]}"
+painter world "$day" "${CLEAN:-all}" "${networks[@]}" world-latents
 family world "${networks[@]}" \
   "$(weights world-painter painter)" "$out/towns/test" all Apache-2.0
 
@@ -130,6 +135,6 @@ stage further-translator fast-translator "$kitti" 30 data.train="train,train,$re
 taller streets-tall fast-translator "$kitti" "train,$pictures${PLACES:+,$PLACES}" \
   "$(weights further-segmenter segmenter)" further-translator
 streets=("$(weights further-segmenter segmenter)" "$(weights streets-tall translator)")
-painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}"
+painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}" world-texture
 family streets "${streets[@]}" "$(weights streets-painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0

@@ -445,6 +445,22 @@ def test_a_painter_that_goes_on_keeps_its_decoder(place, tmp_path):
         torch.testing.assert_close(value, learned.decoder.decoder.state_dict()[name], atol=1e-3, rtol=1e-2)
 
 
+def test_a_run_that_goes_on_has_the_settings_of_its_start(place, tmp_path):
+    """Those of which the recipe says nothing; its own go before, and do not fit here."""
+    torch.manual_seed(0)
+    learned = build("latent-painter", **SMALL)
+    save(tmp_path / "learned.safetensors", learned, Card(network="latent-painter", settings=SMALL))
+    recipe = small(place, f"networks.painter.start={tmp_path / 'learned.safetensors'}", "training.steps=1")
+    silent = replace(recipe.networks["painter"], settings={"looks": ("photograph",)})
+    train(replace(recipe, networks={"painter": silent}), place / "set", tmp_path / "run", device="cpu")
+    made, card = load(tmp_path / "run/weights/painter.safetensors", expect="latent-painter")
+    assert card.settings == {**load(tmp_path / "learned.safetensors")[1].settings, "looks": ["photograph"]}
+    assert made.encoder[0].weight.shape == learned.encoder[0].weight.shape
+    other = replace(silent, settings={"latents": 5})
+    with pytest.raises(InputError, match="trained with other settings"):
+        train(replace(recipe, networks={"painter": other}), place / "set", tmp_path / "other", device="cpu")
+
+
 def test_a_run_releases_a_painter_that_paints_with_the_family(place, tmp_path):
     train(small(place, "training.steps=2"), place / "set", tmp_path, device="cpu")
     network, card = load(tmp_path / "weights/painter.safetensors", expect="latent-painter")

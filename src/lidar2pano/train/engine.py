@@ -56,7 +56,7 @@ from lidar2pano.train.environment import (
 from lidar2pano.train.monitor import Monitor, check_finite
 from lidar2pano.train.recipe import Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, lost_workers, seed_step, steps_over
-from lidar2pano.train.task import Task, predict_all
+from lidar2pano.train.task import Task, predict_all, with_starts
 from lidar2pano.train.tasks import build_task
 
 try:
@@ -92,6 +92,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     training = shared(recipe.training, processes)
     check_compiler(training)
     check_launcher(processes)
+    recipe = with_starts(recipe)
     check_recipe(out, recipe)
     fabric = Fabric(
         accelerator=chosen.type,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,7 +20,7 @@ from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import LabelSet
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models import build
-from lidar2pano.models.card import load
+from lidar2pano.models.card import load, read_card
 from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.pipeline import Segmenter
 from lidar2pano.progress import working
@@ -76,6 +77,18 @@ class Task(Protocol):
     def card(self, network: str) -> dict[str, Any]:
         """Fields of the weight card known to the task alone: labels, views, normalisation, licence."""
         ...
+
+
+def with_starts(recipe: Recipe) -> Recipe:
+    """Return the recipe whose networks have the settings of the files that they start from; its own go before."""
+    return replace(recipe, networks={name: _with_start(spec) for name, spec in recipe.networks.items()})
+
+
+def _with_start(spec: Network) -> Network:
+    card = read_card(spec.start) if spec.start else None
+    if card is None or card.network != spec.model:
+        return spec
+    return replace(spec, settings={**card.settings, **spec.settings})
 
 
 def build_networks(recipe: Recipe) -> dict[str, nn.Module]:
