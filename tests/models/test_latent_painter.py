@@ -9,7 +9,7 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.latent_painter import Clues, conditions_of, mirrored, style_of
+from lidar2pano.models.latent_painter import Clues, class_shares, conditions_of, mirrored, style_of
 from lidar2pano.models.world_noise import world_noise
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
@@ -230,11 +230,36 @@ def test_a_style_is_the_mean_and_the_deviation_of_what_is_known():
     expected = [*part.mean(1).tolist(), *part.std(1, correction=0).tolist(), 1]
     assert style[0].tolist() == pytest.approx(expected, abs=1e-5)
     assert not style[1].any()
-    clues = Clues.of(latents, mask)
+    clues = Clues.of(latents, mask, torch.zeros(2, 16, 3, 5))
     assert torch.equal(clues.style, style)
     assert torch.equal(clues.photograph[0, :4, 1, 2:], part) and clues.photograph[0].count_nonzero() == 5 * 3
     assert not clues.photograph[1].any()
     assert not any(part.any() for part in Clues.empty(latents))
+
+
+def test_where_no_camera_looks_are_the_latents_of_the_classes_that_one_has_seen():
+    """By definition: of each class the sum over what is seen, over one more than its cells; mixed by shares."""
+    torch.manual_seed(4)
+    latents, mask = torch.randn(1, 4, 3, 5), torch.rand(1, 3, 5) < 0.6
+    shares = torch.rand(1, 16, 3, 5).softmax(1) * torch.tensor([1.0, 0] * 8)[None, :, None, None]
+    photograph = Clues.of(latents, mask, shares).photograph[0]
+    cells = list(np.ndindex(3, 5))
+    palette = np.zeros((16, 4))
+    for number in range(16):
+        seen = [cell for cell in cells if mask[0][cell]]
+        count = sum(float(shares[0, number][cell]) for cell in seen)
+        total = sum(float(shares[0, number][cell]) * latents[0][:, *cell].numpy() for cell in seen)
+        palette[number] = total / (count + 1)
+    for cell in cells:
+        expected = latents[0][:, *cell].numpy() if mask[0][cell] else shares[0][:, *cell].numpy() @ palette
+        assert photograph[:4, *cell].tolist() == pytest.approx(expected.tolist(), abs=1e-5)
+    assert torch.equal(photograph[4], mask[0].float())
+
+
+def test_a_cell_has_the_mean_probabilities_of_its_pixels():
+    conditions = torch.rand(2, 26, 8, 12)
+    expected = conditions[1, 5, 4:8, 8:12].mean()
+    assert float(class_shares(conditions)[1, 5, 1, 2]) == pytest.approx(float(expected))
 
 
 def test_what_is_known_changes_what_is_painted_in_all_directions():
@@ -243,7 +268,7 @@ def test_what_is_known_changes_what_is_painted_in_all_directions():
     conditions, shares, noise = torch.randn(1, 26, 16, 1152), torch.ones(1, 1), torch.randn(1, 4, 4, 288)
     mask = torch.zeros(1, 4, 288, dtype=torch.bool)
     mask[..., :8] = True
-    clues = Clues.of(3 + noise, mask)
+    clues = Clues.of(3 + noise, mask, torch.zeros(1, 16, 4, 288))
     parts = (Clues.empty(noise), Clues(clues.photograph, 0 * clues.style), clues)
     with torch.inference_mode():
         nothing, given, both = (network.latents_of(conditions, shares, noise, part) for part in parts)
@@ -275,7 +300,7 @@ def test_what_cameras_show_is_known_but_for_the_cells_at_its_edge():
     picture, shown = torch.rand(1, 3, 32, 128), torch.zeros(1, 32, 128, dtype=torch.bool)
     shown[:, :, :40], shown[:, :, 120:] = True, True  # cells 0 to 4 and 15
     with torch.inference_mode():
-        given, style = network.clues(picture, shown)
+        given, style = network.clues(picture, shown, torch.zeros(1, 16, 4, 16))
         latents = network.decoder.normalised(network.encoder(picture * shown[:, None]))
     assert given[0, 4].tolist() == [[1.0] * 4 + [0.0] * 12] * 4
     torch.testing.assert_close(given[0, :4, :, :4], latents[0, :, :, :4])

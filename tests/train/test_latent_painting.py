@@ -140,6 +140,35 @@ def test_a_style_is_of_any_camera_of_the_moment(sectors):
     assert len(found) >= 3
     own = sectors.encoded(1)
     torch.testing.assert_close(sectors[1].style[:4], own.latents[:, own.coverage].float().mean(1), atol=1e-3, rtol=0)
+    palette = np.zeros((16, 5))
+    probabilities = sectors.kept(1)["probabilities"].double().numpy() / 255
+    for row, column in zip(*own.coverage.nonzero(as_tuple=True), strict=True):
+        shares = probabilities[:, 4 * row : 4 * row + 4, 4 * column : 4 * column + 4].mean((1, 2))
+        palette += shares[:, None] * [*own.latents[:, row, column].double().tolist(), 1]
+    torch.testing.assert_close(sectors[1].palette.double(), torch.from_numpy(palette), atol=0.05, rtol=5e-3)
+
+
+def test_clues_have_the_palette_of_another_camera(place):
+    """Normalised, of all samples with a style and of no others; columns that are given show themselves."""
+    task = build_task(small(place, "options.style_probability=0.5", "options.given_probability=0.5"), place / "set")
+    batch = default_collate([task.dataset[SampleIndex(index % 6, index)] for index in range(24)])
+    latents = task.painter.decoder.normalised(batch.latents)
+    mean, deviation = task.painter.decoder.scale
+    torch.manual_seed(0)
+    photograph, style = task.clues(batch, latents)
+    has_style = style[:, -1] > 0
+    assert 0 < has_style.sum() < 24
+    for sample in range(24):
+        given = photograph[sample, 4] > 0
+        if not has_style[sample]:
+            assert not photograph[sample].any()
+            continue
+        sums, count = batch.palette[sample].split((4, 1), 1)
+        palette = (sums - count * mean) / deviation / (count + 1)
+        shares = batch.conditions[sample, :16].unflatten(1, (-1, 4)).unflatten(3, (-1, 4)).mean((2, 4))
+        expected = torch.einsum("chw,cl->lhw", shares, palette)
+        torch.testing.assert_close(photograph[sample, :4, ~given], expected[:, ~given], atol=1e-4, rtol=1e-4)
+        assert torch.equal(photograph[sample, :4, given], latents[sample][:, given])
 
 
 def test_half_of_the_crops_have_the_remission_of_another_sensor(place):
@@ -360,32 +389,37 @@ def test_a_scene_without_a_photograph_is_judged_by_patches_and_critic_alone(plac
     assert {group // 16 for group, _ in task.distributions.groups} == {0}
 
 
-def test_colours_of_a_scene_without_a_photograph_are_those_of_its_next_painting(place):
+def test_colours_of_a_scene_without_a_photograph_are_those_of_the_next_moment(place):
     """Of the same world, turned by some pixels: what depends on the scene alone has no loss, what changes has."""
     options = ("options.augment_probability=0", "options.unpaired_probability=1", "options.pooled=1")
     task = textured(place, *options, looks=("photograph", "day"))
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(3)])
     paired = torch.tensor([False, True, False])
     batch = as_photographs(batch._replace(look=torch.tensor([1, 0, 1])), ~paired)
-    turns, changes = [], iter((0.0, 0.5))
+    noises, changes = [], iter((0.0, 0.5))
 
-    def painted(samples):
-        turns.append(len(samples.look))
+    def painted(samples, noise):
+        noises.append(noise)
         scene = samples.conditions[:, 23:26].repeat_interleave(2, -1).repeat_interleave(2, -2)
         return scene + next(changes, 0)
 
-    task.painted = painted
-    made, photographed = painted(batch), batch.picture[1]
-    for seed in range(3):
+    task.painted, noise = painted, torch.randn_like(batch.latents)
+    made, photographed = painted(batch, noise), batch.picture[1]
+    unpaired = type(batch)(*(part[::2] for part in batch))
+    for seed in range(4):
         torch.manual_seed(seed)
-        assert torch.equal(task._painted_anew(batch, ~paired), made[::2] + 0.5 * (seed == 0))
-    assert turns == [3, 2, 2, 2]
+        turn = int(torch.randint(16, ()))
+        torch.manual_seed(seed)
+        assert torch.equal(task._painted_next(unpaired, noise[::2]), made[::2] + 0.5 * (seed == 0))
+        kept = (noises[-1] == noise[::2].roll(round(turn / 4), -1)).all(1).float()
+        assert float(kept.mean()) == pytest.approx(0.75, abs=0.05), "three quarters of the noise come along"
+        assert len(noises[-1].unique()) == noises[-1].numel()
     pooled = torch.nn.functional.avg_pool2d
     column = batch.shown[1].any(0)
     error = (pooled(made[1], 4) - pooled(torch.where(column, photographed, made[1]), 4)).square().mean()
-    torch.testing.assert_close(task._pooled_loss(made, batch, paired), error / 3)
+    torch.testing.assert_close(task._pooled_loss(made, batch, noise, paired), error / 3)
     changes = iter((0.5,))
-    torch.testing.assert_close(task._pooled_loss(made, batch, paired), (error + 2 * 0.5**2) / 3)
+    torch.testing.assert_close(task._pooled_loss(made, batch, noise, paired), (error + 2 * 0.5**2) / 3)
 
 
 def test_samples_that_become_photographs_show_nothing(sectors, place):
@@ -394,10 +428,10 @@ def test_samples_that_become_photographs_show_nothing(sectors, place):
     batch = batch._replace(look=torch.tensor([1, 1]))
     made = as_photographs(batch, torch.tensor([False, True]))
     assert made.look.tolist() == [1, 0]
-    for name in ("coverage", "shown", "style"):
+    for name in ("coverage", "shown", "style", "palette"):
         assert torch.equal(getattr(made, name)[0], getattr(batch, name)[0]) and getattr(batch, name)[1].any()
         assert not getattr(made, name)[1].any()
-    assert all(torch.equal(made[part], batch[part]) for part in (0, 1, 5))
+    assert all(torch.equal(getattr(made, part), getattr(batch, part)) for part in ("conditions", "latents", "picture"))
 
 
 def test_not_every_sample_loses_its_picture(place):

@@ -18,7 +18,7 @@ from typing import NamedTuple, Self, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import interpolate, layer_norm, linear, max_pool2d, pixel_unshuffle, silu
+from torch.nn.functional import avg_pool2d, interpolate, layer_norm, linear, max_pool2d, pixel_unshuffle, silu
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
@@ -212,7 +212,8 @@ class FlowNetwork(nn.Module):
         noisy       (B, latents, h, w) = (1 - time) noise + time latents.
         time        (B,) in [0, 1];  moment: (B, 4 WAVES), `moment_of` time and step. Engines compute in half precision,
                     in which sines of large angles are lost.
-        photograph  (B, latents + 1, h, w): latents of a photograph, then 1; 0 in all other places.
+        photograph  (B, latents + 1, h, w): latents of a photograph, then 1; in all other places the mean of what the
+                    photograph has of the place's classes, then 0. All is 0 without one.
         style       (B, 2 latents + 1): `style_of` a photograph in all directions, 0 without one.
         """
         code = shares @ self.look_codes + self.time(moment) + self.style(style)
@@ -222,16 +223,20 @@ class FlowNetwork(nn.Module):
 
 
 class Clues(NamedTuple):
-    """Latents that a camera gives, and their style; `photograph` and `style` of FlowNetwork."""
+    """What a camera says of the latents, and their style; `photograph` and `style` of FlowNetwork."""
 
     photograph: Tensor
     style: Tensor
 
     @classmethod
-    def of(cls, latents: Tensor, mask: Tensor) -> Self:
-        """Return normalised latents (B, L, h, w) where a mask (B, h, w) bool has them."""
+    def of(cls, latents: Tensor, mask: Tensor, shares: Tensor) -> Self:
+        """Return normalised latents (B, L, h, w) where a mask (B, h, w) bool has them, elsewhere those of the classes.
+
+        shares  (B, 16, h, w): class probabilities.
+        """
         mask = mask[:, None].to(latents.dtype)
-        return cls(torch.cat([latents * mask, mask], 1), style_of(latents, mask))
+        palette = expected_latents(class_sums(latents, shares * mask))
+        return cls(photograph_of(latents, mask, palette, shares), style_of(latents, mask))
 
     @classmethod
     def empty(cls, latents: Tensor) -> Self:
@@ -239,6 +244,38 @@ class Clues(NamedTuple):
         return cls(
             torch.cat([0 * latents, 0 * latents[:, :1]], 1), latents.new_zeros(len(latents), 2 * latents.shape[1] + 1)
         )
+
+
+def class_shares(conditions: Tensor) -> Tensor:
+    """Return class probabilities (B, 16, h, w) on the raster of latents, of conditions (B, CONDITIONS, H, W)."""
+    return avg_pool2d(conditions[:, CLASSES], FOLD)
+
+
+def class_sums(latents: Tensor, shares: Tensor) -> Tensor:
+    """Return sums of latents (B, L, h, w) by classes, of which a cell has shares (B, 16, h, w), then of the shares.
+
+    (B, 16, L + 1)
+    """
+    ones = torch.ones_like(latents[:, :1])
+    return torch.einsum("bchw,blhw->bcl", shares.to(latents.dtype), torch.cat([latents, ones], 1))
+
+
+def expected_latents(sums: Tensor) -> Tensor:
+    """Return the mean (B, 16, L) of normalised latents of each class by `class_sums` of them: (B, 16, L + 1).
+
+    One cell more has the mean of all pictures, which is 0: a class that is hardly seen says little.
+    """
+    return sums[..., :-1] / (sums[..., -1:] + 1)
+
+
+def photograph_of(latents: Tensor, mask: Tensor, palette: Tensor, shares: Tensor) -> Tensor:
+    """Return what a FlowNetwork is given of a photograph, (B, L + 1, h, w).
+
+    latents  (B, L, h, w) normalised, given where the mask (B, 1, h, w) is 1; elsewhere the mean of the pixel's classes.
+    palette  (B, 16, L): the classes' means;  shares: (B, 16, h, w) their probabilities.
+    """
+    expected = torch.einsum("bchw,bcl->blhw", shares.to(palette.dtype), palette)
+    return torch.cat([torch.where(mask > 0, latents, expected), mask], 1)
 
 
 def style_of(latents: Tensor, mask: Tensor) -> Tensor:
@@ -379,18 +416,19 @@ class LatentPainter(nn.Module):
         conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
         shares = torch.tensor([self.look_shares(look)], device=conditions.device)
         particles, noise = world_noise(past, scene, self.latents, FOLD, self.seed)
-        clues = self.clues(*scene.photographed) if scene.photographed else None
+        clues = self.clues(*scene.photographed, class_shares(conditions)) if scene.photographed else None
         return particles, self.decoder(self.latents_of(conditions, shares, noise, clues)).clamp(-1, 1)
 
-    def clues(self, picture: Tensor, shown: Tensor) -> Clues:
+    def clues(self, picture: Tensor, shown: Tensor, shares: Tensor) -> Clues:
         """Return the latents of a picture (1, 3, FACTOR h, FACTOR w) for its pixels in view, (1, FACTOR h, FACTOR w).
 
         Those of cells at its edge are left out: the encoder read beyond it.
+        shares  (1, 16, h, w): class probabilities.
         """
         whole = shown.view(torch.uint8).unflatten(1, (-1, FACTOR)).amin(2).unflatten(2, (-1, FACTOR)).amin(3)
         mask = max_pool2d(pad_azimuth(1.0 - whole[:, None], 1), 3, 1, (1, 0))[:, 0] == 0
         latents = encode_columns(self.encoder, picture * shown[:, None], mask.flatten(0, 1).any(0))
-        return Clues.of(self.decoder.normalised(latents.float()), mask)
+        return Clues.of(self.decoder.normalised(latents.float()), mask, shares)
 
 
 def moment_of(time: Tensor, step: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ import torch
 from PIL import Image
 from safetensors.torch import save_file
 from torch import Tensor, nn
-from torch.nn.functional import max_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from lidar2pano.bounded_files import sha256_of
 from lidar2pano.calibration import Calibration
@@ -46,6 +46,7 @@ from lidar2pano.models.latent_painter import (
     MEASUREMENT,
     REMISSION,
     STRIDE,
+    class_sums,
     conditions_of,
     mirrored,
     style_of,
@@ -72,6 +73,7 @@ class LatentSample(NamedTuple):
     coverage    (H/4, W/4) bool: the camera shows all of their pixels.
     look        () int64: number of the look.
     style       (2L + 1,) float32: `style_of` latents of some columns of a camera of its moment, not normalised.
+    palette     (16, L + 1) float32: `class_sums` of the same columns, not normalised.
     picture     (3, 2H, 2W) float32 in [-1, 1], the photograph;  shown: (2H, 2W) bool, its pixels in view. Both
                 have no rows but from PicturedFrames.
     """
@@ -81,16 +83,21 @@ class LatentSample(NamedTuple):
     coverage: Tensor
     look: Tensor
     style: Tensor
+    palette: Tensor
     picture: Tensor
     shown: Tensor
 
 
 class Encoded(NamedTuple):
-    """Latents (L, h, w) float16 of a sector's photograph and of its mirror image, and their coverage (h, w) bool."""
+    """Latents (L, h, w) float16 of a sector's photograph and of its mirror image, and their coverage (h, w) bool.
+
+    shares  (16, h, w) float16: class probabilities.
+    """
 
     latents: Tensor
     mirrored: Tensor
     coverage: Tensor
+    shares: Tensor
 
 
 class LatentFrames:
@@ -160,8 +167,8 @@ class LatentFrames:
             curve = remission_curve(generator, self.octaves)  # of another make of sensor
             conditions[REMISSION] = curve(conditions[REMISSION]).clamp(0, 1)
         look = torch.tensor(self.places[index][2])
-        style = self._style(self._beside(index, generator), generator)
-        return LatentSample(conditions, latents.float(), coverage, look, style, picture, shown)
+        style, palette = self._style(self._beside(index, generator), generator)
+        return LatentSample(conditions, latents.float(), coverage, look, style, palette, picture, shown)
 
     def _beside(self, index: int, generator: np.random.Generator | None) -> Encoded:
         """Return the sector of a camera of the same moment, drawn at random; the sector itself without a generator."""
@@ -169,12 +176,13 @@ class LatentFrames:
         return self.encoded(index if generator is None else int(generator.choice(moment)))
 
     @staticmethod
-    def _style(encoded: Encoded, generator: np.random.Generator | None) -> Tensor:
-        """Return the style of a sector's columns between two that are drawn, of all of them without a generator."""
+    def _style(encoded: Encoded, generator: np.random.Generator | None) -> tuple[Tensor, Tensor]:
+        """Return style and palette of a sector's columns between two that are drawn; of all without a generator."""
         columns = encoded.coverage.shape[1]
         ends = np.sort(generator.integers(0, columns, 2)) if generator is not None else (0, columns - 1)
         part = (..., slice(int(ends[0]), int(ends[1]) + 1))
-        return style_of(encoded.latents[part][None].float(), encoded.coverage[part][None, None].float())[0]
+        latents, mask = encoded.latents[part][None].float(), encoded.coverage[part][None, None].float()
+        return style_of(latents, mask)[0], class_sums(latents, encoded.shares[part][None] * mask)[0]
 
     def picture(self, index: int, start: int, cells: int) -> tuple[Tensor, Tensor]:  # noqa: ARG002, PLR6301 see below
         """Return the picture of a crop that begins at a cell of the latents, and its pixels in view: no rows."""
@@ -235,7 +243,8 @@ class LatentFrames:
             with torch.no_grad(), fast_arithmetic(torch.device("cpu")):
                 latents = torch.cat([self.encoder(part) for part in pictures.split(1)]).half()
             unknown = max_pool2d((~coverage)[None, None].float(), FACTOR)[0, 0]
-            self._encoded[file] = Encoded(latents[0], latents[1], unknown == 0)
+            shares = avg_pool2d(self.kept(index)["probabilities"].float(), FOLD) / BYTE
+            self._encoded[file] = Encoded(latents[0], latents[1], unknown == 0, shares.half())
         return self._encoded[file]
 
     def kept(self, index: int) -> dict[str, Tensor]:

@@ -21,7 +21,16 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import as_image
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.card import load
-from lidar2pano.models.latent_painter import CLASSES, GEOMETRY, MEASUREMENT, Clues, LatentPainter
+from lidar2pano.models.latent_painter import (
+    CLASSES,
+    GEOMETRY,
+    MEASUREMENT,
+    Clues,
+    LatentPainter,
+    class_shares,
+    expected_latents,
+    photograph_of,
+)
 from lidar2pano.pipeline import assemble, load_part, load_segmenter
 from lidar2pano.train.latent_frames import LatentFrames, LatentSample
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
@@ -178,8 +187,11 @@ class LatentPainting:
         ends = torch.randint(columns, (2, samples, 1), device=latents.device).sort(0).values
         number = torch.arange(columns, device=latents.device)
         chosen = (ends[0] <= number) & (number <= ends[1]) & (has_style & has_part)[:, None]
-        photograph = Clues.of(latents, batch.coverage & chosen[:, None]).photograph
+        mask = (batch.coverage & chosen[:, None])[:, None].to(latents.dtype)
         mean, deviation = cast("Tensor", self.painter.decoder.scale)
+        count = batch.palette[..., -1:]
+        sums = torch.cat([(batch.palette[..., :-1] - count * mean) / deviation, count], 2) * has_style[:, None, None]
+        photograph = photograph_of(latents, mask, expected_latents(sums), class_shares(batch.conditions))
         spread, present = batch.style[:, len(mean) : -1] / deviation, batch.style[:, -1:]
         style = torch.cat([(batch.style[:, : len(mean)] - mean) / deviation * present, spread, present], 1)
         return Clues(photograph, style * has_style[:, None])
