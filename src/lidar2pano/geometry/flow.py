@@ -131,7 +131,7 @@ def moved_distances(before_m: Tensor, T_now_before: Tensor, view: View) -> Tenso
 
 
 def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
-    """Where what a pixel shows was in the previous frame, (H, W, 3) float64 from the raster's point; and the point."""
+    """Return the places of pixels' surfaces in the previous frame, (H, W, 3) float64 from a point; and the point."""
     device = now_m.device
     rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
     origin = torch.tensor(

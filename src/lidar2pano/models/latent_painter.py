@@ -212,8 +212,8 @@ class FlowNetwork(nn.Module):
         noisy       (B, latents, h, w) = (1 - time) noise + time latents.
         time        (B,) in [0, 1];  moment: (B, 4 WAVES), `moment_of` time and step. Engines compute in half precision,
                     in which sines of large angles are lost.
-        photograph  (B, latents + 1, h, w): latents of a photograph, then 1; in all other places the mean of what the
-                    photograph has of the place's classes, then 0. All is 0 without one.
+        photograph  (B, latents + 1, h, w): latents of a photograph, then 1; in all other places the mean latents
+                    of the place's classes in the photograph, then 0. All is 0 without one.
         style       (B, 2 latents + 1): `style_of` a photograph in all directions, 0 without one.
         """
         code = shares @ self.look_codes + self.time(moment) + self.style(style)
@@ -223,7 +223,7 @@ class FlowNetwork(nn.Module):
 
 
 class Clues(NamedTuple):
-    """What a camera says of the latents, and their style; `photograph` and `style` of FlowNetwork."""
+    """Latents that a camera gives, those of their classes elsewhere, and their style: inputs of FlowNetwork."""
 
     photograph: Tensor
     style: Tensor
@@ -252,10 +252,7 @@ def class_shares(conditions: Tensor) -> Tensor:
 
 
 def class_sums(latents: Tensor, shares: Tensor) -> Tensor:
-    """Return sums of latents (B, L, h, w) by classes, of which a cell has shares (B, 16, h, w), then of the shares.
-
-    (B, 16, L + 1)
-    """
+    """Return the sums (B, 16, L + 1) of latents (B, L, h, w), then of 1, times the cells' shares (B, 16, h, w)."""
     ones = torch.ones_like(latents[:, :1])
     return torch.einsum("bchw,blhw->bcl", shares.to(latents.dtype), torch.cat([latents, ones], 1))
 
@@ -263,13 +260,13 @@ def class_sums(latents: Tensor, shares: Tensor) -> Tensor:
 def expected_latents(sums: Tensor) -> Tensor:
     """Return the mean (B, 16, L) of normalised latents of each class by `class_sums` of them: (B, 16, L + 1).
 
-    One cell more has the mean of all pictures, which is 0: a class that is hardly seen says little.
+    One cell more has the mean of all pictures, 0: a class that is hardly seen says little.
     """
     return sums[..., :-1] / (sums[..., -1:] + 1)
 
 
 def photograph_of(latents: Tensor, mask: Tensor, palette: Tensor, shares: Tensor) -> Tensor:
-    """Return what a FlowNetwork is given of a photograph, (B, L + 1, h, w).
+    """Return the input `photograph` (B, L + 1, h, w) of a FlowNetwork.
 
     latents  (B, L, h, w) normalised, given where the mask (B, 1, h, w) is 1; elsewhere the mean of the pixel's classes.
     palette  (B, 16, L): the classes' means;  shares: (B, 16, h, w) their probabilities.

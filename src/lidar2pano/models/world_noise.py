@@ -66,7 +66,7 @@ def world_noise(
 
 
 def _carried(past: Particles, new: Particles, raster: View) -> Particles:
-    """Return new particles in whose places those of the previous scan are that have come there."""
+    """Return new particles, replaced by those of the previous scan that have come to their places."""
     T_now_before = torch.from_numpy(np.linalg.inv(new.T_world_sensor) @ past.T_world_sensor)
     ends = moved_ends(past.rays, past.distance_m, T_now_before, past.rays.new_tensor(raster.origin))
     row, column = pixels(*ends.unbind(-1), raster)

@@ -118,8 +118,8 @@ class LatentTexture(LatentPainting):
     def _pooled_loss(self, made: Tensor, batch: LatentSample, noise: Tensor, paired: Tensor) -> Tensor:
         """Return the squared error of pooled colours; above and below what a camera shows, its last pixels count.
 
-        (Where nothing counted, the rows at the foot became a bright strip.) The goal of a sample without a photograph
-        is what is painted of its scene in a drive's next moment: colours are to stay.
+        (Where nothing counted, the rows at the foot became a bright strip.) A sample without a photograph has for its
+        goal the painting of the same scene in a drive's next moment: colours are to stay.
         """
         columns = batch.shown.any(1, keepdim=True)[:, None]
         goal = torch.where(columns, batch.picture, made.detach())
