@@ -199,12 +199,7 @@ def _unoccluded(before_m: Tensor, shift: Tensor, expected: Tensor, circular: boo
     """
     inverse_and_valid = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
     inverse, known = warp(inverse_and_valid[None], shift[None], circular=circular)[0]
-    return (known > 0.999) & are_same(inverse, expected, same)
-
-
-def are_same(inverse: Tensor, other: Tensor, share: float) -> Tensor:
-    """Return where two inverse distances, 1/m and of any one shape, are of one surface: they differ by a share."""
-    return (inverse - other).abs() <= share * torch.maximum(inverse, other) + FAINT
+    return (known > 0.999) & ((inverse - expected).abs() <= same * torch.maximum(inverse, expected) + FAINT)
 
 
 def _completed(values: Tensor) -> Tensor:

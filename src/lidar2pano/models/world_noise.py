@@ -14,11 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.flow import are_same, moved_ends
+from lidar2pano.geometry.flow import moved_ends
 from lidar2pano.geometry.projection import directions, nearest_points, pixels
-from lidar2pano.memory import SAME
 from lidar2pano.scene.record import Scene
-from lidar2pano.scene.surfaces import azimuths
+from lidar2pano.scene.surfaces import azimuths, same_surface
 from lidar2pano.views import PANORAMA, View
 
 FACTORS = (0x1F0A2BE71D163FA1, 0x3C6EF372FE94F82B, 0x510E527FADE682D1)  # odd, of the hashed numbers
@@ -77,7 +76,8 @@ def _carried(past: Particles, new: Particles, raster: View) -> Particles:
     cells = raster.rows * raster.columns
     cell = torch.where(inside, pixel_row * raster.columns + pixel_column.remainder(raster.columns), 0).long()
     inverse = torch.where(past.distance_m.isfinite(), 1 / ends.norm(dim=-1), 0.0)
-    inside &= are_same(1 / new.distance_m.flatten()[cell], inverse, SAME)
+    seen = 1 / new.distance_m.flatten()[cell]
+    inside &= same_surface(seen, inverse) | (seen == inverse)  # both are 0 in the sky
     offset = torch.hypot(row - pixel_row - 0.5, column - pixel_column - 0.5).float()
     index = nearest_points(torch.where(inside, cell, cells).flatten(), offset.flatten(), cells).view(row.shape)
     came, source = index >= 0, index.clamp(min=0)
