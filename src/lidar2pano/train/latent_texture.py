@@ -29,7 +29,6 @@ from lidar2pano.train.recipe import Network, Optimizer, Recipe, on_two_cores
 
 MATCHED = 3  # depths of features whose distributions are matched
 PHOTOGRAPH = 0  # number of the look of photographs
-RENEWED = 0.25  # share of the noise that is new from scan to scan, as world_noise has it at 13 m/s and 10 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +38,7 @@ class LatentTextureOptions(LatentPaintingOptions):
     flow         weight of the loss of the flow.
     perceptual   weight of the mean absolute error of frozen features, each in units of its deviation.
     pooled       weight of the squared error of colours, means of 4 x 4 pixels; also above and below the photograph.
-                 Without a photograph: of their change from one moment of a drive to the next.
+                 Without a photograph: of their change from one painting of the scene to another.
     statistics   weight of the distance of patches' features from the distribution of their class in photographs.
     adversarial  weight of the hinge loss of the critic.
     augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
@@ -79,9 +78,8 @@ class LatentTexture(LatentPainting):
         loss = options.flow * self.flow_loss(batch)
         paired = self._paired(batch.look)
         batch = as_photographs(batch, ~paired)
-        noise = torch.randn_like(batch.latents)
-        made = self.painted(batch, noise)
-        terms = {"pooled": options.pooled * self._pooled_loss(made, batch, noise, paired)}
+        made = self.painted(batch)
+        terms = {"pooled": options.pooled * self._pooled_loss(made, batch, paired)}
         real = torch.where(batch.shown[:, None], batch.picture, made.detach())
         augment = DiffAugment.drawn(len(made), options.augment_probability)
         shown = batch.shown[:, None]
@@ -115,33 +113,31 @@ class LatentTexture(LatentPainting):
         shares = self.shares(look)[:, :, None, None, None] * conditions[:, None, CLASSES]
         return shares.flatten(1, 2)
 
-    def _pooled_loss(self, made: Tensor, batch: LatentSample, noise: Tensor, paired: Tensor) -> Tensor:
+    def _pooled_loss(self, made: Tensor, batch: LatentSample, paired: Tensor) -> Tensor:
         """Return the squared error of pooled colours; above and below what a camera shows, its last pixels count.
 
         (Where nothing counted, the rows at the foot became a bright strip.) A sample without a photograph has for its
-        goal the painting of the same scene in a drive's next moment: colours are to stay.
+        goal another painting of the same scene: colours that hang on noise, or on pixels, flicker in a drive.
         """
         columns = batch.shown.any(1, keepdim=True)[:, None]
         goal = torch.where(columns, batch.picture, made.detach())
         if not paired.all():
-            chosen = LatentSample(*(part[~paired] for part in batch))
-            goal[~paired] = self._painted_next(chosen, noise[~paired])
+            goal[~paired] = self._painted_anew(LatentSample(*(part[~paired] for part in batch)))
         return mse_loss(pooled(made), pooled(goal))
 
     @torch.no_grad()
-    def _painted_next(self, batch: LatentSample, noise: Tensor) -> Tensor:
-        """Return pictures as of a sensor that has turned by some pixels; the noise comes along, some of it is new."""
+    def _painted_anew(self, batch: LatentSample) -> Tensor:
+        """Return pictures from new noise, as of a sensor that has turned by some pixels."""
         turn = int(torch.randint(STRIDE, ()))
-        is_new = torch.rand_like(noise[:, :1]) < RENEWED
-        carried = torch.where(is_new, torch.randn_like(noise), noise.roll(round(turn / FOLD), -1))
-        turned = self.painted(batch._replace(conditions=batch.conditions.roll(turn, -1)), carried)
+        turned = self.painted(batch._replace(conditions=batch.conditions.roll(turn, -1)))
         return turned.roll(-turn * (FACTOR // FOLD), -1)
 
-    def painted(self, batch: LatentSample, noise: Tensor) -> Tensor:
-        """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from noise (B, L, h, w)."""
+    def painted(self, batch: LatentSample) -> Tensor:
+        """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from new noise."""
         conditions = batch.conditions.contiguous(memory_format=torch.channels_last)
         with fast_arithmetic(conditions.device):
             clues = self.clues(batch, self.painter.decoder.normalised(batch.latents))
+            noise = torch.randn_like(batch.latents)
             latents = self.painter.latents_of(conditions, self.shares(batch.look), noise, clues)
             return self.painter.decoder(latents).float()
 
