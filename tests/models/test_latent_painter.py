@@ -300,11 +300,13 @@ def test_what_cameras_show_is_known_but_for_the_cells_at_its_edge():
     picture, shown = torch.rand(1, 3, 32, 128), torch.zeros(1, 32, 128, dtype=torch.bool)
     shown[:, :, :40], shown[:, :, 120:] = True, True  # cells 0 to 4 and 15
     with torch.inference_mode():
-        given, style = network.clues(picture, shown, torch.zeros(1, 16, 4, 16))
+        given, style = network.clues(picture, shown, torch.full((1, 16, 4, 16), 1 / 16))
+        palette, _ = painter(palette=True).clues(picture, shown, torch.full((1, 16, 4, 16), 1 / 16))
         latents = network.decoder.normalised(network.encoder(picture * shown[:, None]))
     assert given[0, 4].tolist() == [[1.0] * 4 + [0.0] * 12] * 4
     torch.testing.assert_close(given[0, :4, :, :4], latents[0, :, :, :4])
-    assert not given[0, :4, :, 4:].any()
+    assert not given[0, :4, :, 4:].any(), "it has learned nothing of palettes"
+    assert palette[0, :4, :, 4:].any() and torch.equal(palette[..., :4], given[..., :4])
     assert style.shape == (1, 9) and style[0, -1] == 1
 
 

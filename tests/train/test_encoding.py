@@ -107,7 +107,7 @@ def test_a_run_releases_the_painter_with_another_encoder(place):
 @pytest.mark.usefixtures("one_thread")
 def test_two_processes_equal_one_that_takes_two_turns(place):
     """`encode` is no `forward`: without the engine's help each process would learn for itself."""
-    settings = {"looks": ("photograph", "day", "overcast", "autumn", "evening")}
+    settings = {"looks": ("photograph", "day", "overcast", "autumn", "evening"), "palette": True}
     card = Card(network="latent-painter", settings=settings)
     save(place / "whole.safetensors", build("latent-painter", **settings), card)
     changes = [f"options.painter={place / 'whole.safetensors'}", "options.size=32", "data.val=train"]
@@ -134,13 +134,14 @@ def test_two_processes_equal_one_that_takes_two_turns(place):
     [
         ("options.painter=", "needs --set options.painter=FILE"),
         ("options.size=40", "options.size=40: must be a multiple of 16"),
-        ("networks.painter.settings.latents=5", "was trained with other settings than the network's"),
+        ("latents", "was trained with other settings than the network's"),
+        ("palette", "was trained with other settings than the network's"),
     ],
 )
 def test_what_it_cannot_learn_from(place, assignment, message):
     recipe = small(place)
-    if "latents" in assignment:
-        network = replace(recipe.networks["painter"], settings={**SMALLER, "latents": 5})
+    if "=" not in assignment:
+        network = replace(recipe.networks["painter"], settings={**SMALLER, assignment: 5})
         recipe = replace(recipe, networks={"painter": network})
     else:
         recipe = override(recipe, assignment)

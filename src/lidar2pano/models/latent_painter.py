@@ -316,6 +316,7 @@ class LatentPainter(nn.Module):
     latents, autoencoder  as of Autoencoder: latents; encoder and decoder.
     mean, flow        widths and blocks of their ConditionedUNets.
     code              length of the code of look, time and length of the step, which modulates them.
+    palette           whether the flow has learned to be given the classes' latents where a photograph has none.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 settings of a network
@@ -328,12 +329,14 @@ class LatentPainter(nn.Module):
         mean: Sequence[Sequence[int]] = ((48, 96, 144), (1, 1, 2)),
         flow: Sequence[Sequence[int]] = ((64, 112, 160), (1, 2, 4)),
         code: int = 128,
+        palette: bool = False,
     ) -> None:
         super().__init__()
         if steps < 1:
             raise InputError(f"a picture takes at least one step, not {steps}")
         self.looks, self.look = tuple(looks), looks[0]
         self.latents, self.steps, self.guidance, self.seed = latents, steps, guidance, 0
+        self.palette = palette
         self.mean = MeanNetwork(len(self.looks), latents, mean[0], mean[1], code)
         self.flow = FlowNetwork(len(self.looks), latents, flow[0], flow[1], code)
         self.encoder = Autoencoder(latents, *autoencoder).encoder.requires_grad_(False)
@@ -425,7 +428,7 @@ class LatentPainter(nn.Module):
         whole = shown.view(torch.uint8).unflatten(1, (-1, FACTOR)).amin(2).unflatten(2, (-1, FACTOR)).amin(3)
         mask = max_pool2d(pad_azimuth(1.0 - whole[:, None], 1), 3, 1, (1, 0))[:, 0] == 0
         latents = encode_columns(self.encoder, picture * shown[:, None], mask.flatten(0, 1).any(0))
-        return Clues.of(self.decoder.normalised(latents.float()), mask, shares)
+        return Clues.of(self.decoder.normalised(latents.float()), mask, shares if self.palette else 0 * shares)
 
 
 def moment_of(time: Tensor, step: Tensor) -> Tensor:

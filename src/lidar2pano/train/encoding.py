@@ -62,12 +62,13 @@ class Encoding:
         teacher = cast("LatentPainter", load(Path(options.painter), expect="latent-painter")[0])
         painter = cast("LatentPainter", self.networks["painter"])
         others = {name: weight for name, weight in teacher.state_dict().items() if not name.startswith("encoder.")}
+        fault = InputError(f"options.painter: {options.painter} was trained with other settings than the network's")
+        if painter.palette != teacher.palette:
+            raise fault
         try:
             painter.load_state_dict({**others, **painter.encoder.state_dict(prefix="encoder.")})
         except RuntimeError:
-            raise InputError(
-                f"options.painter: {options.painter} was trained with other settings than the network's"
-            ) from None
+            raise fault from None
         self.teacher = teacher.requires_grad_(False)
         painter.requires_grad_(False)
         painter.encoder.requires_grad_()

@@ -190,7 +190,8 @@ class LatentPainting:
         mask = (batch.coverage & chosen[:, None])[:, None].to(latents.dtype)
         mean, deviation = cast("Tensor", self.painter.decoder.scale)
         count = batch.palette[..., -1:]
-        sums = torch.cat([(batch.palette[..., :-1] - count * mean) / deviation, count], 2) * has_style[:, None, None]
+        sums = torch.cat([(batch.palette[..., :-1] - count * mean) / deviation, count], 2)
+        sums = sums * (has_style & self.painter.palette)[:, None, None]
         photograph = photograph_of(latents, mask, expected_latents(sums), class_shares(batch.conditions))
         spread, present = batch.style[:, len(mean) : -1] / deviation, batch.style[:, -1:]
         style = torch.cat([(batch.style[:, : len(mean)] - mean) / deviation * present, spread, present], 1)
@@ -288,7 +289,7 @@ def masked_error(made: Tensor, real: Tensor, coverage: Tensor) -> Tensor:
 
 def latent_painter() -> Recipe[LatentPaintingOptions]:
     """The latent painter on the autoencoder's latents."""
-    settings = {"looks": ("photograph", "day", "overcast", "autumn", "evening")}
+    settings = {"looks": ("photograph", "day", "overcast", "autumn", "evening"), "palette": True}
     optimizer = Optimizer(rate=1e-3, betas=(0.9, 0.99), weight_decay=0.01, warmup=100, clip=1.0)
     return Recipe(
         view="panorama",
