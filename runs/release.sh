@@ -40,8 +40,7 @@ family() { # NAME SEGMENTER TRANSLATOR PAINTER DATA SPLIT LICENCE
 }
 
 # A painter learns from photographs, and from towns in their own looks what no camera sees: an autoencoder, then mean and
-# flow of its latents, then texture, then a smaller encoder. That of `streets` goes on from the texture of `world`.
-# runs/stages/ says what made the released ones.
+# flow of its latents, then texture, then a smaller encoder. runs/stages/ says what made the released ones.
 latents() { # NAME DATA PHOTOGRAPHS SEGMENTER TRANSLATOR
   local set=(data.train="$3,$day:all,$pictures" training.validate_minutes=0)
   stage "$1-pictures" autoencoder "$2" 70 "${set[@]}" options.perceptual=0 options.adversarial=0
@@ -135,6 +134,7 @@ stage further-translator fast-translator "$kitti" 30 data.train="train,train,$re
 taller streets-tall fast-translator "$kitti" "train,$pictures${PLACES:+,$PLACES}" \
   "$(weights further-segmenter segmenter)" further-translator
 streets=("$(weights further-segmenter segmenter)" "$(weights streets-tall translator)")
-painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}" world-texture
+latents streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}"
+painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}" streets-latents
 family streets "${streets[@]}" "$(weights streets-painter painter)" \
   "$kitti" val CC-BY-NC-SA-4.0
