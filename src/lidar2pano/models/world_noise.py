@@ -68,7 +68,8 @@ def _carried(past: Particles, new: Particles, raster: View) -> Particles:
     """Return new particles, replaced by those of the previous scan that have come to their places."""
     T_now_before = torch.from_numpy(np.linalg.inv(new.T_world_sensor) @ past.T_world_sensor)
     ends = moved_ends(past.rays, past.distance_m, T_now_before, past.rays.new_tensor(raster.origin))
-    row, column = pixels(*ends.unbind(-1), raster)
+    x, y, z = ends.unbind(-1)
+    row, column = pixels(x, y, z, raster)
     pixel_row, pixel_column = row.floor(), column.floor()
     inside = (pixel_row >= 0) & (pixel_row < raster.rows)
     if not raster.circular:

@@ -151,7 +151,7 @@ class Run:
             optimizer = make_optimizer(recipe.networks[name].optimizer, network)
             task.networks[name], self.optimizers[name] = fabric.setup(network.train(), optimizer)
             for method in getattr(task, "methods", ()):
-                task.networks[name].mark_forward_method(method)
+                cast("Any", task.networks[name]).mark_forward_method(method)
             if recipe.training.compile and name in task.released:  # a penalty differentiates a critic twice
                 network.compile(dynamic=False)
                 log.info("%s is compiled at its first step, which takes a minute or two", name)
