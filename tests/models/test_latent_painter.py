@@ -190,7 +190,8 @@ def moment(time: torch.Tensor, length: float) -> torch.Tensor:
 @pytest.mark.parametrize("steps", [1, 4, 6])
 def test_steps_are_those_of_the_definition(steps):
     """Learned steps ask for their own length; more steps for the instant velocity, led away from the free one."""
-    network = painter(steps=steps, guidance=1.7)
+    network = painter(steps=steps)
+    network.guidance = 1.7
     conditions, shares, noise = torch.randn(1, 26, 16, 32), torch.ones(1, 1), torch.randn(1, 4, 4, 8)
     clues = (torch.randn(1, 5, 4, 8), torch.randn(1, 9))
     with torch.inference_mode():

@@ -43,6 +43,7 @@ SKY = COMMON15.id_of("sky")
 STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
 WAVES = 32  # of the embedding of times, as many sines as cosines
 FASTEST = 1e3  # angular frequency of the last of them, for times in [0, 1]; the first one's is 1
+GUIDANCE = 1.4  # of instant velocities: the conditioned one's weight against the unconditional one
 FAINT = 1e-3  # deviation of the first weights of a layer whose output is next to nothing at first
 CODE_DEVIATION = 0.1  # of the looks' codes at first
 LEARNED_STEPS = (1, 2, 4)  # numbers of steps whose lengths the flow learns; more are steps of its instant velocity
@@ -312,7 +313,7 @@ class LatentPainter(nn.Module):
     """Mean network, flow network, and the decoder of an Autoencoder; a StreamPainter.
 
     looks             their names, the default first.
-    steps, guidance   of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
+    steps             of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
     latents, autoencoder  as of Autoencoder: latents; encoder and decoder.
     mean, flow        widths and blocks of their ConditionedUNets.
     code              length of the code of look, time and length of the step, which modulates them.
@@ -323,7 +324,6 @@ class LatentPainter(nn.Module):
         self,
         looks: Sequence[str] = ("photograph",),
         steps: int = 2,
-        guidance: float = 1.4,
         latents: int = 32,
         autoencoder: Sequence[Sequence[int]] = ((32, 64, 128), (16, 32, 64, 128)),
         mean: Sequence[Sequence[int]] = ((48, 96, 144), (1, 1, 2)),
@@ -335,7 +335,7 @@ class LatentPainter(nn.Module):
         if steps < 1:
             raise InputError(f"a picture takes at least one step, not {steps}")
         self.looks, self.look = tuple(looks), looks[0]
-        self.latents, self.steps, self.guidance, self.seed = latents, steps, guidance, 0
+        self.latents, self.steps, self.guidance, self.seed = latents, steps, GUIDANCE, 0
         self.palette = palette
         self.mean = MeanNetwork(len(self.looks), latents, mean[0], mean[1], code)
         self.flow = FlowNetwork(len(self.looks), latents, flow[0], flow[1], code)

@@ -274,6 +274,10 @@ def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: 
         inner = [part.name for part in fields(old)] if is_dataclass(old) else list(old)
         raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
     else:
+        if isinstance(old, tuple | list) and any(isinstance(part, tuple | list) for part in old):
+            raise InputError(
+                f"{path} is a table, which --set cannot write; choose a recipe or a start that has another"
+            )
         new = _parsed(text, wanted_type or _type_of(old), path)
     return {**node, name: new} if isinstance(node, Mapping) else replace(cast(Any, node), **{name: new})
 
