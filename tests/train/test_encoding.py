@@ -129,6 +129,11 @@ def test_two_processes_equal_one_that_takes_two_turns(place):
     assert apart and max(apart) < 1e-5
 
 
+def test_a_table_cannot_be_set_by_a_word():
+    with pytest.raises(InputError, match="networks.painter.settings.autoencoder is a table"):
+        override(recipe_named("latent-encoder"), "networks.painter.settings.autoencoder=16,32")
+
+
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
