@@ -77,8 +77,8 @@ def _carried(past: Particles, new: Particles, raster: View) -> Particles:
     cells = raster.rows * raster.columns
     cell = torch.where(inside, pixel_row * raster.columns + pixel_column.remainder(raster.columns), 0).long()
     inverse = torch.where(past.distance_m.isfinite(), 1 / ends.norm(dim=-1), 0.0)
-    seen = 1 / new.distance_m.flatten()[cell]
-    inside &= same_surface(seen, inverse) | (seen == inverse)  # both are 0 in the sky
+    inverse_now = 1 / new.distance_m.flatten()[cell]
+    inside &= same_surface(inverse_now, inverse) | (inverse_now == inverse)  # both are 0 in the sky
     offset = torch.hypot(row - pixel_row - 0.5, column - pixel_column - 0.5).float()
     index = nearest_points(torch.where(inside, cell, cells).flatten(), offset.flatten(), cells).view(row.shape)
     came, source = index >= 0, index.clamp(min=0)

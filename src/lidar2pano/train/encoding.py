@@ -61,12 +61,12 @@ class Encoding:
         self.view, self.networks = VIEWS[recipe.view].scaled(recipe.scale), build_networks(recipe)
         teacher = cast("LatentPainter", load(Path(options.painter), expect="latent-painter")[0])
         painter = cast("LatentPainter", self.networks["painter"])
-        others = {name: weight for name, weight in teacher.state_dict().items() if not name.startswith("encoder.")}
+        weights = {name: weight for name, weight in teacher.state_dict().items() if not name.startswith("encoder.")}
         fault = InputError(f"options.painter: {options.painter} was trained with other settings than the network's")
         if painter.palette != teacher.palette:
             raise fault
         try:
-            painter.load_state_dict({**others, **painter.encoder.state_dict(prefix="encoder.")})
+            painter.load_state_dict({**weights, **painter.encoder.state_dict(prefix="encoder.")})
         except RuntimeError:
             raise fault from None
         self.teacher = teacher.requires_grad_(False)
