@@ -9,6 +9,7 @@ from PIL import Image
 from safetensors.torch import save_file
 from torch.utils.data import default_collate
 
+from blob_photographs import write_blobs
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.data.photographs import PhotographDataset, photograph_key
 from lidar2pano.errors import InputError
@@ -26,13 +27,7 @@ SETTINGS = {"latents": 4, "encoder": (8, 8, 8), "decoder": (8, 8, 8, 8)}
 @pytest.fixture
 def root(tmp_path):
     """Three photographs of 56 x 72 pixels: blobs of colour."""
-    folder = tmp_path / "set/images"
-    folder.mkdir(parents=True)
-    (tmp_path / "set/labels").mkdir()
-    for number in range(3):
-        blobs = np.random.default_rng(number).integers(0, 256, (7, 9, 3)).astype(np.uint8)
-        Image.fromarray(blobs).resize((72, 56), Image.Resampling.BICUBIC).save(folder / f"{number}.png")
-    return tmp_path / "set"
+    return write_blobs(tmp_path / "set", 7, 9)
 
 
 def small(*further):

@@ -5,12 +5,11 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
-from PIL import Image
 from torch.utils.data import default_collate
 
+from blob_photographs import write_blobs
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
@@ -29,12 +28,7 @@ SMALLER = {**OWN, "autoencoder": ((4, 6, 8), (4, 4, 6, 8))}
 @pytest.fixture
 def place(tmp_path):
     """Three photographs of 40 x 72 pixels, and a painter whose latents are far from unit scale."""
-    folder = tmp_path / "set/images"
-    folder.mkdir(parents=True)
-    (tmp_path / "set/labels").mkdir()
-    for number in range(3):
-        blobs = np.random.default_rng(number).integers(0, 256, (5, 9, 3)).astype(np.uint8)
-        Image.fromarray(blobs).resize((72, 40), Image.Resampling.BICUBIC).save(folder / f"{number}.png")
+    write_blobs(tmp_path / "set", 5, 9)
     torch.manual_seed(0)
     painter = build("latent-painter", **OWN)
     painter.decoder.scale.copy_(torch.tensor([[0.3, -0.2, 0.1, 0.0], [0.5, 0.2, 0.4, 1.0]]))
