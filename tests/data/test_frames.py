@@ -17,7 +17,7 @@ from lidar2pano.data import semantic_kitti
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame
 from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png
+from lidar2pano.formats.image_files import write_depth, write_palette, write_png
 from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.labels import CITYSCAPES, COMMON15, SEMANTIC_KITTI
 from lidar2pano.views import VIEWS, View

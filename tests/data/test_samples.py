@@ -192,7 +192,8 @@ def test_mixed_scans_are_half_turns_of_two_and_turned_things_of_the_other(seed):
     things = other.label == HOUSE
     for angle in angles:
         place = (other.xyz[things, 0] + 1j * other.xyz[things, 1]) * np.exp(1j * angle)
-        parts.append((np.stack([place.real, place.imag, other.xyz[things, 2]], 1), other.remission[things], other.label[things]))
+        xyz = np.stack([place.real, place.imag, other.xyz[things, 2]], 1)
+        parts.append((xyz, other.remission[things], other.label[things]))
     xyz, remission, label = (np.concatenate(values) for values in zip(*parts, strict=True))
     assert np.allclose(mixed.xyz, xyz, atol=1e-4)
     assert np.array_equal(mixed.remission, remission) and np.array_equal(mixed.label, label)
@@ -248,7 +249,7 @@ def test_another_make_of_sensor_keeps_points_and_the_order_of_remission():
     for seed in range(80):
         one, other = (change_sensor_remission(scan, np.random.default_rng(seed), 3.0) for scan in (near, far))
         assert one.xyz is near.xyz and one.remission.dtype == np.float32
-        assert 0 <= one.remission.min() and one.remission.max() <= 1
+        assert one.remission.min() >= 0 and one.remission.max() <= 1
         assert (np.diff(one.remission) >= 0).all() and (other.remission <= one.remission).all()
         levels.append(np.log2(np.median(one.remission)))
     assert np.ptp(levels) > 2.5 and min(levels) < -2.5
@@ -295,7 +296,8 @@ def test_dropping_leaves_out_about_the_given_share_with_their_labels():
 
 
 def test_a_sensor_whose_beams_end_lower_has_lost_the_points_above():
-    xyz = np.array([[10, 0, 0.5], [0, -10, 0.52], [3, 4, 0.44], [0, 10, -3], [10, 0, 0.53]], np.float32)  # 10 tan(3) = .524
+    # 3 degrees are .524 m in 10 m
+    xyz = np.array([[10, 0, 0.5], [0, -10, 0.52], [3, 4, 0.44], [0, 10, -3], [10, 0, 0.53]], np.float32)
     scan = Scan(xyz=xyz, remission=np.arange(5, dtype=np.float32) / 10, label=np.arange(5))
     lower = drop_above(scan, 3.0)
     assert lower.label is not None

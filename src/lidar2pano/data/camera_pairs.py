@@ -16,13 +16,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache, PredictedLabels
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.projection import Normalisation, project
+from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.labels import TABLES
 from lidar2pano.scan import Scan, drop_points, mirror
 from lidar2pano.views import View

@@ -13,7 +13,6 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex
@@ -22,7 +21,7 @@ from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.errors import InputError, require_extra
 from lidar2pano.geometry.camera import Lookup, at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, reaches, relative_pose, scan_distances
-from lidar2pano.geometry.rasters import warp
+from lidar2pano.geometry.rasters import in_unit, warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import View
 

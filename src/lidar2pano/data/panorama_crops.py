@@ -12,7 +12,6 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache, PredictedLabels
 from lidar2pano.data.frames import (

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.rasters import in_unit
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats.torch_files import read_tensors
+from lidar2pano.geometry.rasters import in_unit
 
 FACTOR = 8  # pixels per latent pixel
 LATENTS_MEND = "make them by runs/teacher_latents.py"
@@ -43,9 +43,7 @@ class PhotographDataset:
         if size % FACTOR:
             raise InputError(f"crops of {size} pixels: must be a multiple of {FACTOR}")
         self.frames, self.size, self.latents = frames_of(root, splits), size, latents
-        self._places = [
-            (number, camera) for number, frame in enumerate(self.frames) for camera in cameras(frame)
-        ]
+        self._places = [(number, camera) for number, frame in enumerate(self.frames) for camera in cameras(frame)]
 
     def __len__(self) -> int:
         """Return the number of photographs."""

@@ -15,11 +15,11 @@ from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.scene.depth import complete_depth
 from lidar2pano.geometry.projection import RangeImage, project
 from lidar2pano.geometry.stitching import Camera, stitch
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.scan import Scan
+from lidar2pano.scene.depth import complete_depth
 from lidar2pano.views import View
 
 # From a frame with x to the right and y forward, as PandaSet and nuScenes have it, to ours: x forward, y left.
