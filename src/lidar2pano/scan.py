@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -170,5 +170,6 @@ def _elevations_deg(scan: Scan) -> np.ndarray:
 
 
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:
-    label, light = (None if values is None else values[kept] for values in (scan.label, scan.near_infrared))
-    return replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept], label=label, near_infrared=light)
+    """Return the points `kept` of a scan, (N,) bool, with all that is known of each."""
+    parts = {part.name: getattr(scan, part.name) for part in fields(scan)}
+    return replace(scan, **{name: part[kept] for name, part in parts.items() if isinstance(part, np.ndarray)})

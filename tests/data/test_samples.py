@@ -295,6 +295,16 @@ def test_dropping_leaves_out_about_the_given_share_with_their_labels():
     assert 0.2 * len(scan) < len(rings) < 0.8 * len(scan)
 
 
+def test_what_is_known_of_each_point_goes_with_it():
+    xyz = np.array([[10, 0, 0], [10, 0, 5], [0, 10, 1]], np.float32)
+    known = {"label": np.array([3, 4, 5]), "ring": np.array([7, 8, 9]), "time_s": np.array([0.1, 0.2, 0.3])}
+    remission, light = np.array([[0.1, 0.2, 0.3], [4, 5, 6]], np.float32)
+    lower = drop_above(Scan(xyz=xyz, remission=remission, near_infrared=light, **known), 10.0)
+    assert np.array_equal(lower.xyz, xyz[[0, 2]])
+    for name, values in {**known, "remission": remission, "near_infrared": light}.items():
+        assert np.array_equal(getattr(lower, name), values[[0, 2]]), name
+
+
 def test_a_sensor_whose_beams_end_lower_has_lost_the_points_above():
     # 3 degrees are .524 m in 10 m
     xyz = np.array([[10, 0, 0.5], [0, -10, 0.52], [3, 4, 0.44], [0, 10, -3], [10, 0, 0.53]], np.float32)
