@@ -196,14 +196,28 @@ def test_half_of_the_crops_have_the_remission_of_another_sensor(place):
     assert 2 <= changed <= 10
 
 
+def write_photograph(root, labels, colour=(10, 60, 200)):
+    """Write a data set of one photograph of a single colour, beside its labels."""
+    for name, image in (("images", np.full((*labels.shape, 3), colour, np.uint8)), ("labels", labels)):
+        (root / name).mkdir(parents=True)
+        Image.fromarray(image).save(root / name / "a.png")
+
+
+def test_data_sets_of_one_name_may_share_a_cache(place, tmp_path):
+    means = []
+    for number, colour in enumerate(((10, 60, 200), (200, 60, 10))):
+        root = tmp_path / str(number) / "photographs"
+        write_photograph(root, np.full((120, 160), 10, np.uint8), colour)
+        picture, coverage = sectors_of(place, root, tmp_path / "cache", "train").photograph(0)
+        means.append(((picture[:, coverage].mean(1) + 1) * 127.5).tolist())
+    assert means == [pytest.approx((10, 60, 200), abs=2), pytest.approx((200, 60, 10), abs=2)]
+
+
 def test_a_labelled_photograph_is_a_sector_without_geometry(place, tmp_path):
     """A photograph of 50 degrees: blue, its upper half sky; below it car to the left, unknown to the right."""
     labels = np.full((120, 160), 10, np.uint8)
     labels[60:, :80], labels[60:, 80:] = 13, 255
-    for name in ("images", "labels"):
-        (tmp_path / name).mkdir()
-    Image.fromarray(np.full((120, 160, 3), (10, 60, 200), np.uint8)).save(tmp_path / "images/a.png")
-    Image.fromarray(labels).save(tmp_path / "labels/a.png")
+    write_photograph(tmp_path, labels)
     photographs = sectors_of(place, tmp_path, tmp_path / "cache", "train", "train")
     conditions = photographs.conditions(0, 0, 160)
     focal = TRANSLATOR_VIEW.columns / (2 * np.pi)

@@ -257,8 +257,8 @@ class LatentFrames:
     def _file(self, frame: Frame, camera: str) -> Path:
         assert frame.root is not None, "frames of data sets have one"
         root = frame.root.resolve()
-        key = hashlib.sha256(os.fsencode(f"{self._made_by} {root.name}")).hexdigest()[:16]
-        folder = Path(self.cache) if self.cache else root / ".lidar2pano"
+        folder, place = (Path(self.cache), root) if self.cache else (root / ".lidar2pano", "")
+        key = hashlib.sha256(os.fsencode(f"{self._made_by} {place}")).hexdigest()[:16]
         stem = "-".join(part for part in (root.name, *frame.name.split("/"), camera) if part)
         return folder / "sectors" / key / f"{stem}.safetensors"
 
