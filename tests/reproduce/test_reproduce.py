@@ -115,14 +115,20 @@ def test_a_damaged_listing_of_splits_is_an_input_error(plan):
         splits(plan.data)
 
 
+def frame_names(**ranges):
+    return [f"{sequence[1:]}/{number:06d}" for sequence, numbers in ranges.items() for number in numbers]
+
+
 @pytest.mark.parametrize(
-    ("sequences", "kept", "selected"),
-    [({"00": 3, "01": 2}, ["00/000000", "00/000001", "00/000002"], ["01/000000", "01/000001"]),
-     ({"00": 20}, [f"00/{number:06d}" for number in range(18)], ["00/000018", "00/000019"]),
-     ({"00": 1}, ["00/000000"], ["00/000000"])],
+    ("names", "selected"),
+    [(frame_names(_00=range(3), _01=range(2)), frame_names(_01=range(2))),
+     (frame_names(_00=range(4), _01=range(6)) + frame_names(_00=[4]), frame_names(_00=range(5))),  # they interleave
+     (frame_names(_00=range(20)), frame_names(_00=[18, 19])),
+     (frame_names(_00=[0], _01=range(19)), frame_names(_01=[17, 18])),  # without 01 a frame would be left
+     (frame_names(_00=[0]), frame_names(_00=[0]))],
 )  # fmt: skip
-def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp_path, sequences, kept, selected):
-    names = [f"{sequence}/{number:06d}" for sequence, count in sequences.items() for number in range(count)]
+def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp_path, names, selected):
+    kept = [name for name in names if name not in selected] or names
     for name in [*names, "08/000000"]:
         path = tmp_path / "data" / "sequences" / name.replace("/", "/velodyne/")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -250,6 +256,7 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(
     words += ["--budget", "1steps", "--segmenter", str(random_weights / "segmenter.safetensors")]
     words += ["--set", "scunet.options.size=47,155"]
     assert main(words) == 0
+    assert "training scunet-mini on 9 frames, its checkpoints selected on 1" in capsys.readouterr().err
     text = (tmp_path / "RESULTS.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
     assert 0 < float(row.split("|")[2]) < 1, "SSIM"

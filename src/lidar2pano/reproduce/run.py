@@ -16,7 +16,7 @@ import torch
 
 from lidar2pano.data.clips import runs
 from lidar2pano.data.frames import Frame, FrameList, listed_splits
-from lidar2pano.data.layouts import frames
+from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, report, score, system
@@ -143,8 +143,9 @@ class Plan:
 
 
 def training_data(plan: Plan) -> Path:
-    """Write DIR/data, the data set with a split `selection`: the last training sequence, or the only one's last tenth.
+    """Write DIR/data, the data set with a split `selection`: all training frames of the last one's sequence.
 
+    Where these are more than half of `train`, as where it has one sequence only, they are its last tenth instead.
     No checkpoint is selected on scored frames: other splits but the scored one lose these frames, and the training
     splits lose those of the scored one. Everything but splits.json are links.
     """
@@ -175,11 +176,13 @@ def training_frames(plan: Plan) -> dict[str, list[str]]:
     train = [name for name in lists["train"] if name not in scored]
     if not train:
         raise InputError(f"{plan.data}: all frames of `train` are in `{plan.split}`, which is scored; name another")
-    sequences = [name.partition("/")[0] for name in train]
-    first = sequences.index(sequences[-1]) or len(train) - max(1, len(train) // 10)
-    held = set(train[first:])
-    kept = {split: [name for name in names if name not in held | scored] for split, names in lists.items()}
-    return kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
+    last_sequence = train[-1].partition("/")[0]
+    held = [name for name in train if name.partition("/")[0] == last_sequence]  # sequences may interleave
+    if len(held) > len(train) / 2:
+        held = train[-max(1, len(train) // 10) :]
+    left_out = scored.union(held)
+    kept = {split: [name for name in names if name not in left_out] for split, names in lists.items()}
+    return kept | {"train": kept["train"] or train, SELECTION: held, plan.split: lists[plan.split]}
 
 
 def _frames_by_split(plan: Plan) -> dict[str, list[str]]:
@@ -286,8 +289,10 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
     for option in ("translator", "segmenter", "autoencoder"):
         if part == "latent-painter" and not getattr(recipe.options, option):
             raise InputError(f"the painter is trained behind its {option}, and there is none")
-    log.info("training %s", recipe.name)
-    folder = train(recipe, training_data(plan), plan.run(part), device=plan.device, devices=plan.devices)
+    data = training_data(plan)
+    counts = len(frames_of(data, recipe.data.train)), len(frames_of(data, recipe.data.val))
+    log.info("training %s on %d frames, its checkpoints selected on %d", recipe.name, *counts)
+    folder = train(recipe, data, plan.run(part), device=plan.device, devices=plan.devices)
     return folder / f"{_released(part)}.safetensors"
 
 
