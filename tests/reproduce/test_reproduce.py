@@ -12,13 +12,14 @@ import pytest
 from lidar2pano import __version__
 from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN, MISTAKE
+from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan, run
 from lidar2pano.reproduce.images import WIDTH, scalars, write_curves, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.results_page import results_page
-from lidar2pano.reproduce.run import budget, splits, training_data
+from lidar2pano.reproduce.run import budget, sampled, splits, training_data
 from lidar2pano.train.recipes import RECIPES
 from semantic_kitti import write_semantic_kitti
 
@@ -147,6 +148,17 @@ def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp
     (folder / "sequences").symlink_to(tmp_path)
     with pytest.raises(InputError, match="sequences: is no link to .*data/sequences; remove it"):
         training_data(plan)
+
+
+@pytest.mark.parametrize(
+    ("count", "numbers"),
+    [(0, list(range(10))), (10, list(range(10))), (99, list(range(10))), (1, [0]), (4, [0, 3, 6, 9])],
+)
+def test_scored_frames_reach_from_the_first_to_the_last(count, numbers):
+    split = FrameList("semantic-kitti", ((f"00/{number:06d}", Frame) for number in range(10)))
+    scored = sampled(split, count)
+    assert [int(name.partition("/")[2]) for name in scored.names] == numbers
+    assert [frame.name for frame in scored] == list(scored.names)
 
 
 def result(steps=1000, low=None, high=None, frames=50, painter=2000, **values):

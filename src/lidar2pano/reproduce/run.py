@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from lidar2pano.data.clips import runs
-from lidar2pano.data.frames import Frame, FrameList, listed_splits
+from lidar2pano.data.frames import Frame, FrameList, evenly_spaced, listed_splits
 from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
@@ -315,10 +315,9 @@ def _segmenter(name: str) -> Path:
 
 
 def sampled(split: FrameList, count: int) -> FrameList:
-    """Return all frames, or `count` of them, evenly over the split."""
-    if not count or count >= len(split):
-        return split
-    return split[:: len(split) // count][:count]
+    """Return all frames, or `count` of them, evenly spaced from the first to the last."""
+    indices = evenly_spaced(len(split), count or len(split))
+    return sum((split[index : index + 1] for index in indices), FrameList(split.layout, ()))
 
 
 def score_row(
