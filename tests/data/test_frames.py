@@ -57,6 +57,11 @@ def world(tmp_path_factory) -> Path:
     return write_world(tmp_path_factory.mktemp("world") / "set")
 
 
+def test_a_frame_names_every_file_of_its_parts(world):
+    named = {path for frame in frames_of(world, ("train", "val")) for path in frame.source_files}
+    assert {path for path in world.rglob("*") if path.is_file()} - named == {world / "splits.json"}
+
+
 PARTS = {"name", "scan", "point_labels", "calibration", "image", "camera_labels", "pose", "panorama"}
 
 

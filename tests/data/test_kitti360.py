@@ -54,6 +54,12 @@ def known(frame: Frame) -> set[str]:
     return {name for name in PARTS if getattr(frame, name) is not None}
 
 
+def test_a_frame_names_every_file_of_its_parts(root):
+    named = {path for frame in frames(root, "all") for path in frame.source_files}
+    files = {path for path in root.rglob("*") if path.suffix in (".bin", ".png", ".txt", ".yaml")}
+    assert files - named == set(root.rglob("*_frames.txt"))
+
+
 def test_what_a_frame_has(root):
     found = frames(root, "all")
     assert found.layout == "kitti-360" and frames(root, SEQUENCE).names == found.names

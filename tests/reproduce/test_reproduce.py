@@ -275,9 +275,16 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(
     assert "`val`" in text and ": 1 camera images" in text and "the camera's images (1)" in text
     assert (tmp_path / "images" / "ground-truth" / "00.colour.png").is_file()
     rows = tmp_path / "rows" / "scunet.json"
-    held = {path: path.stat().st_mtime_ns for path in (rows, tmp_path / "runs/scunet/weights/renderer.safetensors")}
+    weights = tmp_path / "runs" / "scunet" / "weights" / "renderer.safetensors"
+    held = {path: path.stat().st_mtime_ns for path in (rows, weights)}
     assert main(words) == 0
     assert {path: path.stat().st_mtime_ns for path in held} == held
+    labels = semantic_kitti / "sequences" / "08" / "camera_labels" / "000000.png"
+    labels.write_bytes(labels.read_bytes())  # as by another `prepare`
+    assert main(words) == 0
+    assert {path: path.stat().st_mtime_ns == changed_ns for path, changed_ns in held.items()} == {
+        rows: False, weights: True,
+    }  # fmt: skip
     rows.write_text("{")  # a damaged row is scored again
     assert main(words) == 0
     assert json.loads(rows.read_text())["result"]["camera_images"] == 1

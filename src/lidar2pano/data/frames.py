@@ -78,6 +78,11 @@ class Frame:
         self.name = name
         vars(self).update(parts)  # looked up first by cached properties
 
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """Files of the parts but `predicted_labels`, missing ones included; none if the layout does not tell them."""
+        return ()
+
     @cached_property
     def scan(self) -> Scan:
         """See the class."""

@@ -103,6 +103,16 @@ class Kitti360Frame(SurroundFrame):
         """The file of the image's labels; only a part of the images has one."""
         return self.root / "data_2d_semantics" / "train" / self.sequence / CAMERA / "semantic" / f"{self.stem}.png"
 
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """See Frame."""
+        own = self.scan_file, self.image_file, self.labels_file, *self.fisheye_files.values()
+        return (*own, self._poses_file, *_calibration_files(self.root), *_lens_files(self.root))
+
+    @property
+    def _poses_file(self) -> Path:
+        return self.root / "data_poses" / self.sequence / "poses.txt"
+
     @cached_property
     def scan(self) -> Scan:
         """See Frame."""
@@ -167,13 +177,12 @@ class Kitti360Frame(SurroundFrame):
     @cached_property
     def pose(self) -> np.ndarray | None:
         """See Frame; None if poses.txt has none."""
-        path = self.root / "data_poses" / self.sequence / "poses.txt"
+        path = self._poses_file
         T_world_ego = _poses(path).get(int(self.stem)) if path.is_file() else None
         return None if T_world_ego is None else T_world_ego @ calibration(self.root).T_ego_lidar
 
     def missing(self, part: str) -> str:
         """See Frame."""
-        poses = self.root / "data_poses" / self.sequence / "poses.txt"
         return {
             "point_labels": f"{self.name}: KITTI-360 has no labels of single scans; name a segmenter that labels them"
             " with --set options.segmenter=FILE",
@@ -185,7 +194,7 @@ class Kitti360Frame(SurroundFrame):
             " calibration",
             "panorama_labels": f"{self.name}: KITTI-360 has no labels all around; choose the split train or val, whose"
             f" {CAMERA} is labelled",
-            "pose": f"{poses}: has no line for frame {int(self.stem)}; choose another split",
+            "pose": f"{self._poses_file}: has no line for frame {int(self.stem)}; choose another split",
         }.get(part) or super().missing(part)
 
 

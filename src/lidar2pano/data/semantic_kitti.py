@@ -42,6 +42,7 @@ SEQUENCES: dict[str, tuple[int, ...]] = {
     "selection": (10,),
 }
 BYTES_PER_POINT = 16
+IMAGE_SUFFIXES = (".png", ".jpg")
 
 
 class SemanticKittiFrame(Frame):
@@ -61,10 +62,18 @@ class SemanticKittiFrame(Frame):
         """The file of the scan."""
         return self.file("velodyne", ".bin")
 
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """See Frame."""
+        images = (self.file("image_2", suffix) for suffix in IMAGE_SUFFIXES)
+        ground_truth = (self.file(part) for part in ("camera_labels", "pano", *_PANORAMA_PARTS))
+        of_sequence = self.folder / "calib.txt", self.folder / "poses.txt", self.root / "world.json"
+        return (self.scan_file, self.file("labels", ".label"), *images, *ground_truth, *of_sequence)
+
     @cached_property
     def image_file(self) -> Path | None:
         """The file of the image: PNG or JPEG; None if there is none."""
-        return next((path for suffix in (".png", ".jpg") if (path := self.file("image_2", suffix)).is_file()), None)
+        return next((path for suffix in IMAGE_SUFFIXES if (path := self.file("image_2", suffix)).is_file()), None)
 
     @cached_property
     def scan(self) -> Scan:

@@ -249,13 +249,14 @@ def reproduce(plan: Plan) -> Outcome:
             outcome.failures[part] = str(error)
             log.warning("%s: not trained: %s", part, error)
     config = MetricConfig.parse("", inception=plan.inception, sdnet=plan.sdnet, device=plan.device)
+    inputs = _scoring_inputs(plan, scored, config)
     for name, row in plan.rows.items():
         missing = [part for part in row.parts if part != "oracle" and part not in files]
         if missing:
             outcome.failures[name] = f"{missing[0]} was not trained: {outcome.failures[missing[0]]}"
             continue
         try:
-            outcome.results[name] = score_row(plan, name, row, files, scored, config)
+            outcome.results[name] = score_row(plan, name, row, files, scored, config, inputs)
         except InputError as error:
             outcome.failures[name] = str(error)
             log.warning("%s: not scored: %s", row.name, error)
@@ -321,11 +322,17 @@ def sampled(split: FrameList, count: int) -> FrameList:
 
 
 def score_row(
-    plan: Plan, name: str, row: PaperRow, files: Mapping[str, Path], scored: FrameList, config: MetricConfig
+    plan: Plan,
+    name: str,
+    row: PaperRow,
+    files: Mapping[str, Path],
+    scored: FrameList,
+    config: MetricConfig,
+    inputs: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return a row's evaluation, from DIR/rows if none of its inputs has changed."""
+    """Return a row's evaluation, from DIR/rows if neither its weights nor `inputs` of `_scoring_inputs` changed."""
     path = plan.out / "rows" / f"{name}.json"
-    key = _key(plan, row, files, scored, config)
+    key = _key(row, files, inputs)
     if path.is_file():
         try:
             stored = read_json(path)
@@ -345,20 +352,37 @@ def score_row(
     return result
 
 
-def _key(plan: Plan, row: PaperRow, files: Mapping[str, Path], scored: FrameList, config: MetricConfig) -> str:
-    """Hash the inputs of a row's evaluation: weights, frames and metrics."""
+def _key(row: PaperRow, files: Mapping[str, Path], inputs: Mapping[str, Any]) -> str:
+    """Hash the inputs of a row's evaluation: its weights, and those that all rows share."""
     parts = [part for part in (SEGMENTER, *row.parts) if part in files]
-    inputs = {
-        "weights": [read_card(files[part]).sha256 for part in parts],
-        "chain": row.parts,
+    weights = [read_card(files[part]).sha256 for part in parts]
+    text = json.dumps({**inputs, "weights": weights, "chain": row.parts}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _scoring_inputs(plan: Plan, scored: FrameList, config: MetricConfig) -> dict[str, Any]:
+    """Return the inputs that all rows share: frames, with size and time of change of their files, and metrics.
+
+    Files of the layouts of SemanticKITTI and KITTI-360 are looked at, others are taken to stay as they are.
+    """
+    return {
         "data": str(plan.data.resolve()),
         "split": plan.split,
         "frames": scored.names,
+        "files": _stamps(scored),
         "metrics": [config.groups, config.sectors],
         "inception": config.inception.sha256 if config.inception else "",
         "image_segmenter": config.image_segmenter.sha256 if config.image_segmenter else "",
     }
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+
+def _stamps(scored: FrameList) -> str:
+    """Hash the sizes and times of change of the frames' files; labels are rewritten in place, at the same size."""
+    digest = hashlib.sha256()
+    for path in dict.fromkeys(path for frame in scored for path in frame.source_files):
+        stamp = path.stat() if path.is_file() else None
+        digest.update(f"{path} {stamp and (stamp.st_size, stamp.st_mtime_ns)}\n".encode(errors="surrogateescape"))
+    return digest.hexdigest()
 
 
 def missing_packages(plan: Plan) -> list[str]:
