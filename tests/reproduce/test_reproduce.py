@@ -20,6 +20,7 @@ from lidar2pano.reproduce.images import WIDTH, scalars, write_curves, write_shee
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.results_page import results_page
 from lidar2pano.reproduce.run import budget, sampled, splits, training_data
+from lidar2pano.train.checkpoint import Progress, save_checkpoint
 from lidar2pano.train.recipes import RECIPES
 from semantic_kitti import write_semantic_kitti
 
@@ -320,12 +321,35 @@ def test_a_dry_run_names_trainings_disk_and_gaps_and_writes_nothing(tmp_path, ca
     assert "stepps" in capsys.readouterr().err
 
 
-def test_finished_trainings_cost_nothing_more(semantic_kitti, tmp_path, capsys):
-    (tmp_path / "runs" / "scunet" / "weights").mkdir(parents=True)
+@pytest.mark.parametrize(
+    ("progress", "budget", "finished"),
+    [
+        (Progress(step=5, validated=5, finished=5), "5steps", True),
+        (Progress(step=3, validated=3), "5steps", False),  # paused: it has weights, too
+        (Progress(step=5, validated=5, finished=5), "9steps", False),  # it goes on
+        (Progress(step=5, seconds=90.0, finished=5), "90s", True),
+        (Progress(step=5, seconds=90.0, finished=5), "2m", False),
+        (None, "5steps", False),
+    ],
+)
+def test_only_finished_trainings_cost_nothing_more(semantic_kitti, tmp_path, capsys, progress, budget, finished):
+    run_folder = tmp_path / "runs" / "scunet"
+    (run_folder / "weights").mkdir(parents=True)
+    if progress:
+        save_checkpoint(run_folder, progress, {}, {})
     words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path), "--rows", "scunet", "--device", "cpu"]
-    assert main([*words, "--segmenter", "world", "--budget", "5steps", "--dry-run"]) == 0
+    assert main([*words, "--segmenter", "world", "--budget", budget, "--dry-run"]) == 0
     out = capsys.readouterr().out
-    assert "finished" in out and "0 trainings" in out and "1 rows scored" in out
+    assert out.splitlines()[0].endswith("  finished") == finished
+    assert f"{0 if finished else 1} trainings" in out and "1 rows scored" in out
+
+
+def test_a_dry_run_names_a_damaged_checkpoint(semantic_kitti, tmp_path, capsys):
+    folder = save_checkpoint(tmp_path / "runs" / "scunet", Progress(step=5, finished=5), {}, {})
+    (folder / "state.json").write_text("{")
+    words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path), "--rows", "scunet", "--device", "cpu"]
+    assert main([*words, "--segmenter", "world", "--budget", "5steps", "--dry-run"]) == MISTAKE
+    assert "000000005 is damaged" in capsys.readouterr().err
 
 
 def test_a_missing_package_is_named_before_the_first_training(semantic_kitti, tmp_path, monkeypatch, capsys):

@@ -30,7 +30,8 @@ from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import load
 from lidar2pano.reproduce.images import write_images
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
-from lidar2pano.train.recipe import Recipe, override
+from lidar2pano.train.checkpoint import read_progress
+from lidar2pano.train.recipe import Recipe, Training, override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.video import VideoOptions
 
@@ -424,12 +425,21 @@ def _lacking(frame: Frame, plan: Plan, *, scoring: bool) -> list[str]:
     return faults
 
 
+def _is_finished(run: Path, training: Training) -> bool:
+    """Return whether a run has ended, and not by a smaller budget; in epochs, budgets are not compared."""
+    progress = read_progress(run)
+    if progress is None or progress.finished != progress.step:
+        return False
+    return training.epochs > 0 or progress.share(training) >= 1
+
+
 def describe(plan: Plan) -> tuple[list[str], list[str]]:
     """Return the lines of a plan, and of its gaps."""
     lines, minutes, size = list[str](), list[float](), 0
     for part in plan.parts:
-        recipe, finished = plan.recipe(part, {}), (plan.run(part) / "weights").is_dir()
+        recipe = plan.recipe(part, {})
         settings, size = recipe.training, size + COPIES * _network_bytes(recipe)
+        finished = _is_finished(plan.run(part), settings)
         length = f"{settings.epochs:g} epochs" if settings.epochs else f"{settings.steps} steps"
         length = f"{settings.minutes:g} min" if settings.minutes else length
         lines.append(f"{part:20} {recipe.name:24} {length:>14}{'  finished' if finished else ''}")

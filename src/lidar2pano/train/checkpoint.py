@@ -71,6 +71,11 @@ class Progress:
         if min(self.step, self.seconds, self.looks) < 0 or min(self.validated, self.finished) < -1:
             raise ValueError("counts of steps or seconds are negative")
 
+    def share(self, training: Training) -> float:
+        """Return the completed share of a budget, 0 to 1 and over."""
+        used = self.seconds / (60 * training.minutes) if training.minutes > 0 else 0.0
+        return max(self.step / training.steps, used)
+
 
 def check_recipe(run: Path, recipe: Recipe) -> None:
     """Make the run's folder, or compare the recipe with that of its checkpoint.
@@ -240,13 +245,23 @@ def newest_checkpoint(run: Path) -> Path | None:
     return max(folders, key=lambda path: (int(path.stem), path.suffix == ""), default=None)
 
 
-def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
-    """The run's newest checkpoint (tensors on the CPU), or None; a damaged one raises InputError."""
+def read_progress(run: Path) -> Progress | None:
+    """Return the progress of the run's newest checkpoint, None if there is none; InputError if it is damaged."""
     newest = newest_checkpoint(run)
     if newest is None:
         return None
     try:
-        progress = validated(Progress, read_json(newest / "state.json", "it was not written whole"), "state.json")
+        return validated(Progress, read_json(newest / "state.json", "it was not written whole"), "state.json")
+    except (InputError, ValueError, TypeError) as error:
+        raise InputError(f"{newest} is damaged ({error}); remove it to start again") from None
+
+
+def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
+    """The run's newest checkpoint (tensors on the CPU), or None; a damaged one raises InputError."""
+    newest, progress = newest_checkpoint(run), read_progress(run)
+    if newest is None or progress is None:
+        return None
+    try:
         weights = read_tensors(newest / "weights.safetensors", "it cannot be resumed")
         check_weights(weights, progress.step)
         optimizers = load_torch(newest / "optimizers.pt")

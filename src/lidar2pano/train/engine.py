@@ -244,9 +244,7 @@ class Run:
 
     def _done(self) -> float:
         """Completed share of the run, 0 to 1 and over."""
-        training, progress = self.recipe.training, self.progress
-        used = progress.seconds / (60 * training.minutes) if training.minutes > 0 else 0.0
-        return max(progress.step / training.steps, used)
+        return self.progress.share(self.recipe.training)
 
     def _step(self, loader: Iterator) -> None:
         """Take one optimiser step of every updated network."""
