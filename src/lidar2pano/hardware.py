@@ -42,7 +42,10 @@ def pick_device(name: str | torch.device) -> torch.device:
 
 @dataclass(slots=True)
 class Timer:
-    """Milliseconds per stage, in the order of the stages: `with timer("project"): ...`."""
+    """Milliseconds per stage of one scan, in the order of the stages: `with timer("project"): ...`.
+
+    A stage that is entered several times adds up.
+    """
 
     device: torch.device
     milliseconds: dict[str, float] = field(default_factory=dict)
@@ -54,7 +57,7 @@ class Timer:
         yield
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
-        self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
+        self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + (time.perf_counter() - begin) * 1e3
 
 
 PROCESSOR_TIMES = Path("/proc/stat")  # of Linux

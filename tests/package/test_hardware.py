@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
 from lidar2pano import hardware
 from lidar2pano.hardware import keep_buffers
@@ -32,6 +33,16 @@ def test_kept_buffers_are_not_faulted_in_again():
     assert (kept, kept_again) == ("True", "True")
     assert int(once) < int(without) / 10
     assert int(twice) < int(without) / 10, "twice is once"
+
+
+def test_a_stage_entered_again_adds_its_time(monkeypatch):
+    clock_s = iter([0.0, 0.5, 1.0, 3.0, 3.0, 3.25])
+    monkeypatch.setattr(hardware.time, "perf_counter", lambda: next(clock_s))
+    timer = hardware.Timer(torch.device("cpu"))
+    for stage in ("cameras", "paint", "cameras"):
+        with timer(stage):
+            pass
+    assert list(timer.milliseconds.items()) == [("cameras", 750.0), ("paint", 2000.0)]
 
 
 class NoSuchFunction:
