@@ -1,18 +1,15 @@
-"""The machine: device, arithmetic, times of stages, other work, and glibc's allocation of memory."""
+"""The machine: device, arithmetic, times of stages, and glibc's allocation of memory."""
 
 from __future__ import annotations
 
 import ctypes
-import os
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import torch
 
-from lidar2pano.bounded_files import read_text
 from lidar2pano.errors import InputError
 
 
@@ -58,36 +55,6 @@ class Timer:
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
         self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + (time.perf_counter() - begin) * 1e3
-
-
-PROCESSOR_TIMES = Path("/proc/stat")  # of Linux
-BUSY = 0.1  # of the processors: taken by others, it moves a time of two threads by as much
-
-
-class OtherWork:
-    """The share of the machine's processors that other processes take, since it was made."""
-
-    def __init__(self) -> None:
-        self._begin = _processor_seconds()
-
-    def share(self) -> float | None:
-        """Return the share in [0, 1]; None where the system does not tell it (it is Linux's /proc/stat)."""
-        begin, end = self._begin, _processor_seconds()
-        if begin is None or end is None or not (total := sum(end) - sum(begin)):
-            return None
-        return min(max((end[0] - begin[0]) / total, 0.0), 1.0)
-
-
-def _processor_seconds() -> tuple[float, float, float] | None:
-    """Return the seconds of all processors with other processes, with this one, and idle."""
-    try:
-        line = read_text(PROCESSOR_TIMES).partition("\n")[0].split()
-        ticks_per_s = os.sysconf("SC_CLK_TCK")
-    except (OSError, ValueError, AttributeError):
-        return None
-    user, nice, system, idle, iowait, *rest = (int(ticks) / ticks_per_s for ticks in line[1:9])
-    own = sum(os.times()[:4])  # its ended children, too
-    return user + nice + system + sum(rest) - own, own, idle + iowait
 
 
 # The names and numbers of glibc's malloc.h, and their values.

@@ -398,8 +398,7 @@ def test_train_hands_the_recipe_on(here, monkeypatch, capsys):
     assert "depth=0.5" in said and "adamw 0.002" in said and "weights: o/weights" in said
 
 
-def test_bench_measures_everything(here, random_weights, capsys, monkeypatch):
-    monkeypatch.setattr("lidar2pano.hardware.OtherWork.share", lambda _: 0.47)
+def test_bench_measures_everything(here, random_weights, capsys):
     assert main(["bench", "--runs", "1", "--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]) == 0
     said = json.loads((here / "b.json").read_text())
     stages = [f"stage {name}" for name in STAGES if name != "read"]
@@ -410,8 +409,7 @@ def test_bench_measures_everything(here, random_weights, capsys, monkeypatch):
     whole = said["rows"][-1]["median_ms"]
     assert whole >= sum(row["median_ms"] for row in said["rows"][3:-1]) - 0.1, "what lies between stages counts too"
     out, err = capsys.readouterr()
-    assert "| whole panorama |" in out and "< 1500" in out and "threads" in out and ", others 47%\n" in out
-    assert "other processes took 47% of the processors: on an idle machine it is faster" in err
+    assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
     assert LICENCE in err
 
 

@@ -65,14 +65,6 @@ def test_scores_that_were_not_measured_are_dashes(tmp_path):
     assert page.endswith("## Times\n\nno time\n")
 
 
-def test_times_of_a_busy_machine_are_refused():
-    check_idle = runpy.run_path(str(ROOT / "runs" / "results.py"))["check_idle"]
-    check_idle("device cpu, threads 2, engine openvino, others 10%\n")
-    check_idle("no times\n")
-    with pytest.raises(SystemExit, match="others took 11 %"):
-        check_idle("device cpu, threads 2, engine openvino, others 11%\n")
-
-
 def test_the_time_is_that_of_the_whole_panorama():
     time_of = runpy.run_path(str(ROOT / "runs" / "readme.py"))["time_of"]
     text = (
@@ -81,7 +73,7 @@ def test_the_time_is_that_of_the_whole_panorama():
     assert time_of(text) == ("1161.4", "4")
     arithmetic_of = runpy.run_path(str(ROOT / "runs" / "readme.py"))["arithmetic_of"]
     assert arithmetic_of(text) == "torch; float32"
-    line = "device cpu, threads 2, bfloat16 True, torch 2.13.0+cpu, buffers kept True, engine openvino, others 3%"
+    line = "device cpu, threads 2, bfloat16 True, torch 2.13.0+cpu, buffers kept True, engine openvino"
     assert arithmetic_of(f"# Results\n{line}\n") == "OpenVINO, extra `fast`; bfloat16 in hardware"
     with pytest.raises(SystemExit, match="whole panorama"):
         time_of("device cuda, threads 4\n| whole panorama | 1.0 | 1 | |\n")

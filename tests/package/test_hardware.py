@@ -74,25 +74,3 @@ def fail(error: Exception):
 def test_other_c_libraries_are_left_alone(monkeypatch, library):
     monkeypatch.setattr(ctypes, "CDLL", library)
     assert keep_buffers() is False
-
-
-@pytest.mark.parametrize(
-    ("line", "share"),
-    [
-        ("cpu 400 0 0 600 0 0 0 0 0 0", 0.4),  # all of it others'
-        ("cpu 200 100 60 600 0 20 10 10 50 50", 0.4),  # guests are within user's
-        ("cpu 0 0 0 900 100 0 0 0 0 0", 0.0),  # waiting for disks
-    ],
-)
-def test_work_of_others_is_told_from_ones_own(monkeypatch, tmp_path, line, share):
-    stat = tmp_path / "stat"
-    monkeypatch.setattr(hardware, "PROCESSOR_TIMES", stat)
-    monkeypatch.setattr(hardware.os, "times", lambda: (0.0,) * 5)
-    stat.write_text("cpu 0 0 0 0 0 0 0 0 0 0\ncpu0 1\n")
-    others = hardware.OtherWork()
-    stat.write_text(f"{line}\n")
-    assert others.share() == pytest.approx(share)
-    monkeypatch.setattr(hardware.os, "times", lambda: (1.0, 1.0, 0.5, 0.5, 9.0))  # 3 s of 10 are one's own
-    assert others.share() == pytest.approx(max(share - 0.3, 0))
-    stat.unlink()
-    assert others.share() is None and hardware.OtherWork().share() is None, "no Linux"

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import announced, print_note, print_weights
+from lidar2pano.cli.console import announced, print_weights
 from lidar2pano.cli.options import DeviceOption, check_file, write_json
-
-if TYPE_CHECKING:
-    from lidar2pano.hardware import OtherWork
 
 
 @app.command()
@@ -41,13 +38,12 @@ def bench(
     """Time projection, clean-up, the Lovasz loss and every stage of the pipeline, or count tensor operations."""
     from lidar2pano import bench as measures
     from lidar2pano.engines import pick_engine
-    from lidar2pano.hardware import OtherWork, keep_buffers, pick_device
+    from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import weight_files
 
     if as_json:
         check_file(as_json, "--json")
-    other_work = OtherWork()
     with announced(0, "measuring, which takes minutes"):
         if world:
             settings = {"device": "cpu", "runs": runs, "processes": processes}
@@ -75,7 +71,6 @@ def bench(
                 text = measures.table(rows)
             if name:
                 print_weights("", map(read_card, weight_files(name).values()))
-    settings |= {} if operations else _share(other_work)
     _report(settings, rows, text, as_json)
 
 
@@ -85,15 +80,3 @@ def _report(settings: dict[str, Any], rows: Sequence[Any], text: str, as_json: P
         write_json(as_json, settings | {"rows": [asdict(row) for row in rows]}, "--json")
     words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in settings.items())
     print(f"{words}\n\n{text}")
-
-
-def _share(other_work: OtherWork) -> dict[str, str]:
-    """Return the share of the processors that other work took, for the conditions; note a large one."""
-    from lidar2pano.hardware import BUSY
-
-    share = other_work.share()
-    if share is None:
-        return {}
-    if share > BUSY:
-        print_note(f"other processes took {share:.0%} of the processors: on an idle machine it is faster")
-    return {"others": f"{share:.0%}"}

@@ -187,18 +187,14 @@ def _times(plan: Plan, outcome: Outcome) -> str:
         if name in outcome.results:
             stages = outcome.results[name]["results"][0]["milliseconds"]
             stages_text = ", ".join(f"{stage.replace('_', ' ')} {value:.0f}" for stage, value in stages.items())
-            share = outcome.results[name].get("others")
-            rows.append(
-                [row.name, stages_text, f"{sum(stages.values()):.0f}", "-" if share is None else f"{share:.0%}"]
-            )
+            rows.append([row.name, stages_text, f"{sum(stages.values()):.0f}"])
     if outcome.camera_segmenter_ms is not None:
         duration = f"{outcome.camera_segmenter_ms:.0f}"
-        rows.append(["SD-Net (in training only)", f"segment an image {duration}", duration, "-"])
+        rows.append(["SD-Net (in training only)", f"segment an image {duration}", duration])
     theirs = ", ".join(f"{name} {value:g}" for name, value in PAPER_TIMES.items())
     return (
-        markdown_table(["approach", "milliseconds per stage", "sum", "processors of others"], rows)
-        + "\n\nThe last column: the share of the processors that others took meanwhile; where it is large, so are"
-        f" the times. The paper, on a Quadro RTX 6000, for the front view alone: {theirs}."
+        markdown_table(["approach", "milliseconds per stage", "sum"], rows)
+        + f"\n\nThe paper, on a Quadro RTX 6000, for the front view alone: {theirs}."
     )
 
 

@@ -22,7 +22,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, report, score, system
 from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json
-from lidar2pano.hardware import OtherWork, Timer, pick_device
+from lidar2pano.hardware import Timer, pick_device
 from lidar2pano.models import build
 from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisation
 from lidar2pano.models.card import read_card
@@ -345,9 +345,8 @@ def score_row(
     row_system = system(plan.chain(row), device=plan.device)
     painter = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
     write_images(plan.out / "images" / name, row_system, scored, config, painter)
-    other_work = OtherWork()
     evaluation = score([row_system], scored, data=plan.data.resolve().name, split=plan.split, config=config)
-    result = report.as_dict(evaluation) | {"others": other_work.share()}
+    result = report.as_dict(evaluation)
     text = json.dumps({"key": key, "result": result}, indent=1)
     write_text(path, text)
     return result
