@@ -6,7 +6,6 @@ one panorama are a count for all machines.
 
 from __future__ import annotations
 
-import math
 import statistics
 import tempfile
 import time
@@ -16,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -37,7 +35,6 @@ from lidar2pano.simulate.generation import SequenceWriter, generate
 from lidar2pano.simulate.settings import WorldSettings
 from lidar2pano.views import VIEWS
 
-POINTS = 120_000
 CAMERA = (15, 376, 1241)  # classes, rows and columns of the published TITAN-Net
 # Milliseconds that we aim at, by device, or that the published code took on an idle Xeon with two cores (AMX), float32,
 # its large buffers kept by the allocator.
@@ -72,7 +69,7 @@ class Comparison:
 
 
 def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "auto") -> list[Row]:
-    """Time everything `runs` times after a warm-up.
+    """Time everything on the demo scan, `runs` times after a warm-up.
 
     weights, engine  as for `pipeline.load`; weights "": untrained networks.
     Raises InputError when weights, device or engine cannot be had.
@@ -80,7 +77,7 @@ def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "a
     picked = pick_device(device)
     pipeline = load(weights, device, engine) if weights else untrained(picked, engine)
     aims = AIMS[picked.type]
-    scan = made_up_scan(POINTS, seed=0)
+    scan = read(street())
     image = project(scan, VIEWS["hdl64e"], device=picked)
     ids = torch.randint(1, 20, image.valid.shape, device=picked, generator=torch.Generator(picked).manual_seed(0))
     row = _timer(runs, picked)
@@ -126,7 +123,7 @@ def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> lis
     """
     picked = pick_device(device)
     pipelines = {engine: load(weights, device, engine) if weights else untrained(picked, engine) for engine in engines}
-    scan = made_up_scan(POINTS, seed=0)
+    scan = read(street())
     runs_by_engine: dict[str, list[dict[str, float]]] = {engine: [] for engine in engines}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(runs + 1):
@@ -173,7 +170,6 @@ def conditions(device: str, runs: int) -> dict[str, Any]:
         "threads": torch.get_num_threads(),
         "bfloat16": has_bfloat16(picked),
         "runs": runs,
-        "points": POINTS,
         "torch": torch.__version__,
     }
 
@@ -195,21 +191,6 @@ def comparison_table(rows: Sequence[Comparison]) -> str:
             cells += [f"{row.median_ms[name]:.0f}", f"{row.median_ms[first] / max(row.median_ms[name], 0.01):.2f}"]
         lines.append(cells)
     return markdown_table(head, lines)
-
-
-def made_up_scan(points: int, seed: int) -> Scan:
-    """A scan of a street that does not exist: 64 beams from +2 to -24.8 degrees over flat ground between two walls."""
-    generator = np.random.default_rng(seed)
-    beams = 64
-    azimuth = np.repeat(np.linspace(math.pi, -math.pi, -(-points // beams), endpoint=False), beams)[:points]
-    elevation = np.radians(np.tile(np.linspace(2.0, -24.8, beams), -(-points // beams))[:points])
-    wall_m = 8 / np.maximum(np.abs(np.sin(azimuth)), 0.1)
-    ground_m = 1.73 / np.maximum(-np.tan(elevation), 0.01)
-    flat_m = np.minimum(wall_m, ground_m) * generator.uniform(0.97, 1.03, points)
-    xyz = np.stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), flat_m * np.tan(elevation)], axis=1)
-    order = np.argsort(np.tile(np.arange(beams), -(-points // beams))[:points], kind="stable")  # beam by beam, as KITTI
-    remission = generator.uniform(0, 1, points).astype(np.float32)
-    return Scan(xyz=xyz[order].astype(np.float32), remission=remission, name="made-up")
 
 
 def lovasz_step(device: torch.device) -> Callable[[], None]:
