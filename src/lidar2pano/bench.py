@@ -36,28 +36,19 @@ from lidar2pano.simulate.settings import WorldSettings
 from lidar2pano.views import VIEWS
 
 CAMERA = (15, 376, 1241)  # classes, rows and columns of the published TITAN-Net
-# Milliseconds that we aim at, by device, or that the published code took on an idle Xeon with two cores (AMX), float32,
-# its large buffers kept by the allocator.
-AIMS = {
-    "cpu": {"projection": "< 5", "clean-up": "< 25", "Lovasz": "published 630", "panorama": "< 1500, aim 1000"},
-    "cuda": {"panorama": "< 50"},
-}
 WORLD_SEED, WORLD_PLACE = 5, "residential"
-WORLD_AIMS = {"scan": "< 150", "frame": "< 4000 on two cores"}
 WHOLE = "whole panorama"
-PUBLISHED = {"segment": "published 640", "clean_up": "published 70 to 90", "translate": "published 1140 (64 x 2048)"}
 BELIEF = ("project", "segment", "clean_up", "translate")  # stages that make a scene
 OUTSIDE = "outside of stages"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A thing that was timed; milliseconds: median and least over the runs; aim: what it should take, in words."""
+    """A thing that was timed; milliseconds: median and least over the runs."""
 
     title: str
     median_ms: float
     least_ms: float
-    aim: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,16 +67,15 @@ def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "a
     """
     picked = pick_device(device)
     pipeline = load(weights, device, engine) if weights else untrained(picked, engine)
-    aims = AIMS[picked.type]
     scan = read(street())
     image = project(scan, VIEWS["hdl64e"], device=picked)
     ids = torch.randint(1, 20, image.valid.shape, device=picked, generator=torch.Generator(picked).manual_seed(0))
     row = _timer(runs, picked)
     return [
-        row("projection", aims, lambda: project(scan, VIEWS["hdl64e"], device=picked)),
-        row("clean-up", aims, lambda: clean_up(image, ids)),
-        row("Lovasz", aims, lovasz_step(picked)),
-        *stages(pipeline, scan, runs, aims),
+        row("projection", lambda: project(scan, VIEWS["hdl64e"], device=picked)),
+        row("clean-up", lambda: clean_up(image, ids)),
+        row("Lovasz", lovasz_step(picked)),
+        *stages(pipeline, scan, runs),
     ]
 
 
@@ -94,13 +84,11 @@ def default_weights() -> str:
     return best_family() if families() else ""
 
 
-def stages(pipeline: Pipeline, scan: Scan, runs: int, aims: dict[str, str]) -> list[Row]:
+def stages(pipeline: Pipeline, scan: Scan, runs: int) -> list[Row]:
     """The pipeline's stages, saving the picture included, and the whole."""
     with tempfile.TemporaryDirectory() as folder:
         warm = [_stage_times(pipeline, scan, folder) for _ in range(runs + 1)][1:]
-    published = PUBLISHED if pipeline.device.type == "cpu" else {}
-    aim_by_stage = published | {WHOLE: aims["panorama"]}
-    return [_row(_title(stage), [run[stage] for run in warm], aim_by_stage.get(stage, "")) for stage in warm[0]]
+    return [_row(_title(stage), [run[stage] for run in warm]) for stage in warm[0]]
 
 
 def _stage_times(pipeline: Pipeline, scan: Scan, folder: str) -> dict[str, float]:
@@ -152,14 +140,14 @@ def measure_world(runs: int, processes: int) -> list[Row]:
         writer = SequenceWriter(Path(folder) / "one", settings, 0)
         rows = [
             _row("world: build a piece of a town", _times(writer.scene, 1)),
-            _row("world: scan with labels", _times(writer.scan, runs + 1)[1:], WORLD_AIMS["scan"]),
+            _row("world: scan with labels", _times(writer.scan, runs + 1)[1:]),
             _row("world: whole frame, one process", _times(writer.write, runs + 1)[1:]),  # the first makes the textures
         ]
         begin = time.perf_counter()
         frames = sum(generate(Path(folder) / "many", settings, 1, processes))
         frame_ms = (time.perf_counter() - begin) * 1e3 / frames
         title = f"world: whole frame, {processes} processes, {frames} frames, start and build included"
-        return [*rows, _row(title, [frame_ms], WORLD_AIMS["frame"])]
+        return [*rows, _row(title, [frame_ms])]
 
 
 def conditions(device: str, runs: int) -> dict[str, Any]:
@@ -176,8 +164,8 @@ def conditions(device: str, runs: int) -> dict[str, Any]:
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown: a line per row."""
-    cells = ([row.title, f"{row.median_ms:.1f}", f"{row.least_ms:.1f}", row.aim] for row in rows)
-    return markdown_table(["milliseconds", "median", "least", "aim"], cells)
+    cells = ([row.title, f"{row.median_ms:.1f}", f"{row.least_ms:.1f}"] for row in rows)
+    return markdown_table(["milliseconds", "median", "least"], cells)
 
 
 def comparison_table(rows: Sequence[Comparison]) -> str:
@@ -225,14 +213,14 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
     )
 
 
-def _timer(runs: int, device: torch.device) -> Callable[[str, dict[str, str], Callable[[], object]], Row]:
-    def timed(title: str, aims: dict[str, str], work: Callable[[], object]) -> Row:
+def _timer(runs: int, device: torch.device) -> Callable[[str, Callable[[], object]], Row]:
+    def timed(title: str, work: Callable[[], object]) -> Row:
         def finished(_: int) -> None:
             work()
             if device.type == "cuda":
                 torch.cuda.synchronize(device)
 
-        return _row(title, _times(finished, runs + 1)[1:], aims.get(title, ""))
+        return _row(title, _times(finished, runs + 1)[1:])
 
     return timed
 
@@ -247,8 +235,8 @@ def _times(work: Callable[[int], object], runs: int) -> list[float]:
     return times
 
 
-def _row(title: str, times: list[float], aim: str = "") -> Row:
-    return Row(title=title, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2), aim=aim)
+def _row(title: str, times: list[float]) -> Row:
+    return Row(title=title, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2))
 
 
 @dataclass(frozen=True, kw_only=True)

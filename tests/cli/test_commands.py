@@ -409,7 +409,7 @@ def test_bench_measures_everything(here, random_weights, capsys):
     whole = said["rows"][-1]["median_ms"]
     assert whole >= sum(row["median_ms"] for row in said["rows"][3:-1]) - 0.1, "what lies between stages counts too"
     out, err = capsys.readouterr()
-    assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
+    assert "| whole panorama |" in out and "threads" in out
     assert LICENCE in err
 
 
