@@ -34,7 +34,7 @@ class LruCache:
         self._held: OrderedDict[Hashable, Any] = OrderedDict()
 
     def get(self, key: Hashable, load: Callable[[], T]) -> T:
-        """Return the value of `key`: the one held, else the result of `read`."""
+        """Return the value of `key`: the one held, else the result of `load`."""
         if key in self._held:
             self._held.move_to_end(key)
             return self._held[key]
@@ -86,8 +86,9 @@ class PredictedLabels:
 
     label_points  the segmenter: scan -> (N,) integer ids of SEMANTIC_KITTI.
     weights       its weight file.
-    A file is found by the SHA-256 of the weights and of the scan, so it is never out of date. It lies in the data
-    set's folder .lidar2pano/ or, if it may not be written, in the user's cache (XDG_CACHE_HOME).
+    A file is found by the SHA-256 of the weights and of the scan: other weights or another scan make another file, but
+    labels by an older projection or clean-up stay in use until predictions/ is removed. It lies in the data set's
+    folder .lidar2pano/ or, if it may not be written, in the user's cache (XDG_CACHE_HOME).
     """
 
     def __init__(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:

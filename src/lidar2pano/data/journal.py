@@ -75,7 +75,7 @@ class Journal:
         return self._records.get(file, [])[::-1]
 
     def enter(self, record: Record) -> None:
-        """Append a record, on disk at the return of the call. Raises OSError if it cannot be written."""
+        """Append a record: a killed process does not lose it, a power cut may. OSError if it cannot be written."""
         line = json.dumps(asdict(record), separators=(",", ":")).encode() + b"\n"
         line = b"\n" + line if self._torn else line
         append_bytes(self.path, line)

@@ -253,7 +253,7 @@ def _checked(path: Path, row: dict[str, Any], **types: type) -> dict[str, Any]:
 
 
 def _known(folder: Path, row: Mapping[str, Any], table: str, target: str, tokens: Mapping[str, object]) -> str:
-    """Return the token of a row of the table `other`, named by a row of `table`; InputError if there is none."""
+    """Return the token of a row of the table `target`, named by a row of `table`; InputError if there is none."""
     if (token := row[f"{target}_token"]) not in tokens:
         raise InputError(
             f"{folder / table}.json: row {row['token']!r} names {token!r}, which {target}.json has not; {MEND}"

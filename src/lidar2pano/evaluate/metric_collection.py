@@ -221,7 +221,7 @@ class MetricValue:
 
     sector, name  e.g. "camera", "miou".
     value         NaN if undefined;  low, high: its 95 % interval over resampled frames, for distances of sets by the
-                  jackknife (`bootstrap.set_intervals`); NaN for a single frame and for sets of few images.
+                  jackknife (`accumulation.set_intervals`); NaN for a single frame and for sets of few images.
     frames        number of frames (for distances of sets: images).
     """
 

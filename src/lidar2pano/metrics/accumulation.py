@@ -132,7 +132,7 @@ class StoredArrays(MutableMapping[str, np.ndarray]):
 class FrameMetric(ABC):
     """A metric of sums over frames; `update` of a subclass keeps each frame's sums by name.
 
-    Since each frame's own sums are kept, the worst frames can be named and `bootstrap` can resample the frames.
+    Since each frame's own sums are kept, the worst frames can be named and `interval` can resample the frames.
     sum_names  names of the S sums;  rows: frame name -> (S,) float64.
     """
 

@@ -45,7 +45,9 @@ EVERY_PX = 4  # one of so many rows and columns of an image is looked at
 EVERY_POINT = 16  # of a scan: one of so many is nearly always in sight of a camera, if any is
 BEAMS = replace(VIEWS["hdl64e"], columns=1024)  # as coarse as a turn of the slower LiDARs: neighbours are neighbours
 FEWEST_EDGES = 30  # points whose mean is taken to be normal
-STANDARD_ERRORS = 3.0  # by which a turned image must fit better: by chance it does in one of 700 cases
+# By which a turned image must fit better. With independent points, chance alone reaches it in one of 700 cases;
+# neighbouring points lie on the same edges, so it does more often.
+STANDARD_ERRORS = 3.0
 UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Brown and Lowe 2007, "Automatic Panoramic Image Stitching using Invariant Features", section 6: normalised errors of
 # intensity and gain. A gain of light is one of coded values, too, whose curve is nearly a power.

@@ -1,7 +1,6 @@
 """Views of panoramas: one self-contained HTML page, a video, a log for Rerun.
 
 page          PageWriter: frames in, one HTML file out; its HTML, CSS, JavaScript and shaders lie in web/.
-layers        coding of a frame's layers as images.
 saved_frames  frames of panoramas saved as PNG.
 outputs       files of `translate` about all of its scans together.
 """
