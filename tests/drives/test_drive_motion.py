@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.motion import SensorMotion, Trajectory
-from miniature import street
+from miniature import CALIB, street
 from miniature_recordings import START_NS, STEP_NS, points, transform, write
 
 
@@ -56,6 +57,29 @@ def test_scans_without_recorded_poses_have_estimated_ones(tmp_path):
 def test_a_pose_far_from_the_recorded_ones_is_none(tmp_path):
     messages = [*drive(2), points(street(9, 1500), START_NS + 30 * STEP_NS)]
     assert [T is None for _, T in posed_scans(write(tmp_path, "bag", messages))] == [False, False, True]
+
+
+def write_sequence(sequence, ending=".bin"):
+    """A sequence of KITTI odometry with two scans and their poses; its Tr is the identity."""
+    (sequence / "velodyne").mkdir(parents=True)
+    (sequence / "calib.txt").write_text(CALIB.splitlines()[0] + "\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    (sequence / "poses.txt").write_text("".join(f"1 0 0 {step} 0 1 0 0 0 0 1 0\n" for step in (0, 1.5)))
+    for number in range(2):
+        file = sequence / "velodyne" / f"{number:06d}.bin"
+        write_bin(file, street(number, 1500))
+        if ending == ".bin.gz":
+            file.with_name(file.name + ".gz").write_bytes(gzip.compress(file.read_bytes()))
+            file.unlink()
+    return sequence / "velodyne"
+
+
+@pytest.mark.parametrize("ending", [".bin", ".bin.gz"])
+@pytest.mark.parametrize("inside", [False, True])
+def test_poses_beside_velodyne_are_found_from_inside_and_for_packed_scans(tmp_path, monkeypatch, ending, inside):
+    folder = write_sequence(tmp_path / "00", ending)
+    if inside:
+        monkeypatch.chdir(folder)
+    assert [T[0, 3] for _, T in posed_scans("." if inside else folder)] == [0, 1.5]
 
 
 @pytest.mark.parametrize(

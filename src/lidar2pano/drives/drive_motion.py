@@ -108,8 +108,8 @@ def motion_of(
         return None
     elif city := city_motion(stream):
         drive = DriveMotion(*city, estimate=False)
-    elif stream.name == "velodyne" and (poses := lidar_poses(stream.parent)):
-        return lambda file, scan, _: (scan, poses.at(file.stem))
+    elif stream.absolute().name == "velodyne" and (poses := lidar_poses(stream.absolute().parent)):
+        return lambda file, scan, _: (scan, poses.at(stem_of(file)))
     else:
         drive = DriveMotion(None, "", estimate)
     return drive if drive.origin else None
