@@ -81,6 +81,12 @@ def test_times_of_a_folder(tmp_path, name, text, wanted, beside):
     assert times(files[2:]) == found[2:]  # by its number
 
 
+def test_times_beside_the_folder_are_found_from_inside_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(folder_of(tmp_path / "velodyne", ["000000", "000001"])[0].parent)
+    (tmp_path / "times.txt").write_text("0\n0.1\n")
+    assert times([Path("000000.bin"), Path("000001.bin")]) == [0, 0.1]
+
+
 def test_times_by_names(tmp_path):
     nanoseconds = folder_of(tmp_path / "a", ["315966265259836000", "315966265359836000"])
     assert times(nanoseconds) == pytest.approx([315966265.259836, 315966265.359836])

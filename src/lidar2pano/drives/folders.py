@@ -78,7 +78,7 @@ def times(files: Sequence[Path]) -> list[float] | None:
     None without either. Raises InputError for a damaged or too short list.
     """
     folder = files[0].parent
-    for path in (place / name for place in (folder, folder.parent) for name in TIMES):
+    for path in (place / name for place in (folder, folder.absolute().parent) for name in TIMES):
         if path.is_file():
             return _listed_times(path, files)
     stems = [stem_of(file) for file in files]
