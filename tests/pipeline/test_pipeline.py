@@ -124,6 +124,19 @@ def test_streams_share_nothing(pipeline):
     assert [next(one).frame, next(other).frame, next(one).frame] == [0, 0, 1]
 
 
+@pytest.mark.parametrize(("poses", "cameras", "missing"), [([None], None, "pose"), (None, [()], "list of cameras")])
+def test_a_scan_without_a_pose_or_cameras_of_its_own_is_an_error_and_not_left_out(pipeline, poses, cameras, missing):
+    stream = pipeline.stream([street(seed=1), street(seed=2)], poses, cameras)
+    next(stream)
+    with pytest.raises(InputError, match=f"no {missing} is left for scan 1 .*give one for each scan"):
+        next(stream)
+
+
+def test_the_scans_end_a_stream_whatever_poses_and_cameras_are_left(pipeline):
+    assert len(list(pipeline.stream([street()], itertools.repeat(None), itertools.repeat(())))) == 1
+    assert len(list(pipeline.stream([street()], [None] * 3, [()] * 3))) == 1
+
+
 # --- what comes out -------------------------------------------------------------------------------------------------
 
 

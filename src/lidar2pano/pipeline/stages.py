@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import NamedTuple, Self, Unpack
+from typing import NamedTuple, Self, TypeVar, Unpack
 
 import numpy as np
 import torch
@@ -48,6 +48,8 @@ from lidar2pano.views import View, elevation_range, sensor_view
 
 MARGIN_DEG, MOST_DEG = 10.0, (-35.0, 45.0)  # what "auto" adds to a sensor's elevations, and how far it goes
 ROAD, CONDITIONS = COMMON15.id_of("road"), len(SEMANTIC_KITTI)
+
+ValueT = TypeVar("ValueT")
 
 
 class Measurement(NamedTuple):
@@ -214,17 +216,21 @@ class Pipeline:
     def stream(
         self,
         scans: Iterable[Scan],
-        poses: Iterable[np.ndarray] | None = None,
+        poses: Iterable[np.ndarray | None] | None = None,
         cameras: Iterable[Sequence[Camera]] | None = None,
     ) -> Iterator[Panorama]:
         """Yield panoramas of consecutive scans; with a pose for each (see `remember`), temporally smoothed.
 
-        cameras  of each scan, as for a single one.
+        poses    one for each scan, None where it is unknown;  cameras: of each scan, as for a single one.
+        The stream ends with the scans: poses and cameras may be endless, or of later scans too.
+        Raises InputError for a scan that has none left.
         """
         memory = Memory()
-        every_pose = itertools.repeat(None) if poses is None else poses
-        every_camera = itertools.repeat(()) if cameras is None else cameras
-        for scan, pose, own_cameras in zip(scans, every_pose, every_camera, strict=False):
+        pose_of_each = iter(itertools.repeat(None) if poses is None else poses)
+        cameras_of_each = iter(itertools.repeat(()) if cameras is None else cameras)
+        for number, scan in enumerate(scans):
+            pose = _next_of(pose_of_each, "pose", number, scan)
+            own_cameras = _next_of(cameras_of_each, "list of cameras", number, scan)
             memory, panorama = self.step(memory, scan, pose, cameras=own_cameras)
             yield panorama
 
@@ -407,6 +413,16 @@ class PaperPipeline(Pipeline):
 
     def _translator_image(self, scan: Scan, image: RangeImage) -> RangeImage:  # noqa: ARG002
         return self._checked(scan, project(scan, self.input_view, device=self.device))
+
+
+def _next_of(values: Iterator[ValueT], kind: str, number: int, scan: Scan) -> ValueT:
+    """Return the next value, of a scan of a stream; InputError where none is left."""
+    for value in values:
+        return value
+    unknown = "None where it is unknown" if kind == "pose" else "() where there is none"
+    raise InputError(
+        f"no {kind} is left for scan {number} of the stream ({scan.name}); give one for each scan, {unknown}"
+    )
 
 
 def load(
