@@ -347,6 +347,28 @@ def test_points_alone(random_weights, front_weights):
         assert prediction.camera_labels is None and prediction.panorama is None and not prediction.milliseconds
 
 
+class Stripes(nn.Module):
+    """A segmenter whose classes change with every few metres of range."""
+
+    def forward(self, x):
+        return nn.functional.one_hot((x[:, 0].abs() * 3).long() % 20, 20).movedim(-1, 1).float()
+
+
+def test_points_have_the_same_labels_whatever_else_is_requested(random_weights, front_weights, kitti):
+    scan = street()
+    near = replace(scan, xyz=np.where(np.arange(len(scan))[:, None] % 4, scan.xyz, scan.xyz / 50))
+    panoramas, front = system(random_weights, device="cpu"), system(front_weights, device="cpu")
+    striped = replace(front.segmenter, network=Stripes())
+    for one in (
+        replace(panoramas, pipeline=replace(panoramas.pipeline, segmenter=striped)),
+        replace(front, segmenter=striped),
+    ):
+        _, alone = one.predict(SystemInput(scan=near))
+        _, beside = one.predict(SystemInput(scan=near, calibration=kitti))
+        assert len(np.unique(alone.point_labels)) > 3
+        np.testing.assert_array_equal(alone.point_labels, beside.point_labels)
+
+
 def test_another_sensor(random_weights, front_weights):
     for weights in (random_weights, front_weights):
         one = system(weights, device="cpu", sensor="pandar64")

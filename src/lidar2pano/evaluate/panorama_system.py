@@ -136,9 +136,9 @@ class PanoramaSystem:
         pipeline, calibration = self.pipeline, inputs.calibration
         viewpoints = _viewpoints(inputs)
         if not viewpoints:
-            return memory, Prediction(
-                point_labels=pipeline.segmenter.points(inputs.scan, pipeline.device).cpu().numpy()
-            )
+            fitted = pipeline.fitted(inputs.scan, Memory())
+            points = fitted.measure(inputs.scan, Timer(pipeline.device)).points  # labelled as for a panorama
+            return memory, Prediction(point_labels=points.labels.cpu().numpy())
         memories: dict[str, Memory] = dict(memory or {})
         views: dict[str, _View] = {}
         timer = Timer(pipeline.device)

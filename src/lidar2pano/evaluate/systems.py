@@ -111,7 +111,9 @@ class CameraTranslator:
     def predict(self, inputs: SystemInput, memory: Any = None) -> tuple[Any, Prediction]:  # noqa: ANN401
         """As System; scores are resized bilinearly to the camera's image before the argmax."""
         if inputs.calibration is None:
-            return memory, Prediction(point_labels=self.segmenter.points(inputs.scan, self.device).cpu().numpy())
+            range_image = self.segmenter.project(inputs.scan, self.device)
+            ids = self.segmenter.label(range_image, Timer(self.device))
+            return memory, Prediction(point_labels=ids.cpu().numpy())
         timer = Timer(self.device)
         with timer("project"):
             range_image = self.segmenter.project(inputs.scan, self.device)
