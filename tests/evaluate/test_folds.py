@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+import gc
 import json
 import shutil
 import statistics
+import weakref
 
 import pytest
 import torch
 
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
+from lidar2pano.evaluate import system
 from lidar2pano.evaluate.folds import compared, parse_folds, quantile, scores_of, table, weights_without
 from lidar2pano.models.card import load, save
 from random_weights import write_data_set
@@ -125,6 +128,26 @@ def test_each_fold_is_scored_by_weights_that_have_not_seen_it(tmp_path, random_w
     assert row["mean"]["mean"] == pytest.approx(sum(by_fold.values()) / 2)  # not weighed by frames
     with (tmp_path / "o.csv").open(encoding="utf-8", newline="") as file:
         assert {line["fold"] for line in csv.DictReader(file)} == {"hills", "harbour"}
+
+
+def test_networks_of_a_fold_are_gone_before_those_of_the_next_are_loaded(tmp_path, random_weights, monkeypatch):
+    networks, alive = [], []
+
+    def noted_system(*arguments, **options):
+        gc.collect()
+        alive.append(sum(network() is not None for network in networks))
+        loaded = system(*arguments, **options)
+        networks.append(weakref.ref(loaded.pipeline.segmenter.network))
+        return loaded
+
+    monkeypatch.setattr("lidar2pano.evaluate.system", noted_system)
+    for name in ("hills", "harbour"):
+        write_data_set(tmp_path / name, frames=1, size=(124, 38))
+        shutil.copytree(random_weights, tmp_path / f"without-{name}")
+    folds = [f"--folds={name}={tmp_path / name}:val" for name in ("hills", "harbour")]
+    weights = [f"{tmp_path}/without-{{fold}}", str(random_weights)]
+    assert main(["evaluate", *weights, *folds, "--metrics", "points", "--device", "cpu"]) == 0
+    assert alive == [0, 1, 0, 1], "of the same fold only"
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lidar2pano.evaluate import Evaluation, MetricConfig, System
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
     from lidar2pano.evaluate.folds import Fold
+    from lidar2pano.evaluate.panorama_system import SystemInfo
     from lidar2pano.evaluate.pictures import Preferences
     from lidar2pano.pipeline import Pipeline
 
@@ -99,7 +100,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
-    build = cache(partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation))
+    build = partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation)
     if folds:
         if data or worst or pairs or leave_out:
             raise InputError("--folds compares scores over places; leave out --data, --worst, --pairs and --leave-out")
@@ -140,7 +141,7 @@ def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
         write_worst(evaluation, out)
     if preferences:
         print_note(f"choose between the panoramas: {preferences.write()}")
-    note_systems(systems)
+    note_licences(system.info for system in systems)
     print(report.table(summary))
 
 
@@ -155,16 +156,15 @@ def score_folds(
     """Score every fold, write the requested files, and print a table of means over folds."""
     from lidar2pano.cli.options import write_json
     from lidar2pano.evaluate import report
-    from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table, weights_without
+    from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table
 
     names = list(dict.fromkeys(weights))
     folded: dict[str, dict[str, dict[str, float]]] = {name: {} for name in names}
     rows: list[dict[str, object]] = []
-    scored: list[System] = []
+    scored: list[SystemInfo] = []
     for fold in parse_folds(texts):
-        systems = [build(weights_without(name, fold)) for name in names]
-        summary = report.as_dict(score_place(systems, fold, config))
-        scored += systems
+        summary, infos = score_fold(names, fold, build, config)
+        scored += infos
         rows += [{"fold": fold.name, **row} for row in report.records(summary)]
         for name, result in zip(names, summary["results"], strict=True):
             folded[name][fold.name] = scores_of(result)
@@ -173,8 +173,19 @@ def score_folds(
         write_json(as_json, comparison, "--json")
     if as_csv:
         write_csv(as_csv, rows, "--csv")
-    note_systems(scored)
+    note_licences(scored)
     print(table(comparison))
+
+
+def score_fold(
+    names: Sequence[str], fold: Fold, build: Callable[[str], System], config: MetricConfig
+) -> tuple[dict[str, Any], list[SystemInfo]]:
+    """Score the systems of one fold and free them; return the scores, ready for JSON, and their weights."""
+    from lidar2pano.evaluate import report
+    from lidar2pano.evaluate.folds import weights_without
+
+    systems = [build(weights_without(name, fold)) for name in names]
+    return report.as_dict(score_place(systems, fold, config)), [system.info for system in systems]
 
 
 def score_place(
@@ -283,11 +294,11 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     write_text(path, text.getvalue(), option)
 
 
-def note_systems(systems: Iterable[System]) -> None:
+def note_licences(scored: Iterable[SystemInfo]) -> None:
     """Print a line on stderr for each licence that restricts the use of these systems' weights."""
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import licence_note
 
-    for note in dict.fromkeys(licence_note(map(read_card, system.info.files.values())) for system in systems):
+    for note in dict.fromkeys(licence_note(map(read_card, info.files.values())) for info in scored):
         if note:
             print_note(note)
