@@ -15,16 +15,9 @@ import torch
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import system
-from lidar2pano.evaluate.folds import compared, parse_folds, quantile, scores_of, table, weights_without
+from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table, weights_without
 from lidar2pano.models.card import load, save
 from random_weights import write_data_set
-
-
-@pytest.mark.parametrize(
-    ("degrees", "tabled"), [(1, 12.706), (2, 4.303), (3, 3.182), (4, 2.776), (9, 2.262), (30, 2.042)]
-)
-def test_quantiles_are_those_of_students_table(degrees, tabled):
-    assert quantile(degrees) == pytest.approx(tabled, abs=6e-4)
 
 
 def test_folds_are_named_places(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 import torch
 
-from lidar2pano.metrics.accumulation import SetMetric, image_tensor, set_intervals
+from lidar2pano.metrics.accumulation import SetMetric, image_tensor, set_intervals, student_quantile
 from lidar2pano.metrics.frechet import FrechetDistance, frechet_distance
 from lidar2pano.metrics.sliced_wasserstein import (
     DIRECTIONS,
@@ -197,10 +197,15 @@ def test_intervals_of_set_distances_are_the_jackknifes(count):
         assert isnan(found.low) and isnan(found.high)
     elif count <= 10:  # a group is an image
         half = scipy.stats.t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)
-        assert (found.low, found.high) == pytest.approx((values.mean() - half, values.mean() + half), rel=1e-4)
+        assert (found.low, found.high) == pytest.approx((values.mean() - half, values.mean() + half), rel=1e-6)
     else:
         assert sorted(len(group) for group in metric.groups(10)) == 3 * [3] + 7 * [4] and found.low < found.high
     assert metric.compute() == found.value, "nothing was changed"
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 9, 30])
+def test_quantiles_are_those_of_students_distribution(degrees):
+    assert student_quantile(degrees) == pytest.approx(scipy.stats.t.ppf(0.975, degrees), rel=1e-6)
 
 
 # --- Frechet distance -----------------------------------------------------------------------------------------------

@@ -7,14 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.report import PREFIX, ROWS, markdown_table
+from lidar2pano.metrics.accumulation import student_quantile
 
 PLACEHOLDER = "{fold}"  # in a name of weights: stands for the name of the fold to be scored
-SHARE = 0.975  # of Student's distribution below the upper end of a 95 % interval
-ANGLES = 1 << 16  # at which its density is summed
 LEAST = 3  # folds for an interval
 
 Scores = Mapping[str, float]  # by value
@@ -67,18 +64,7 @@ def summary_of(values: Sequence[float]) -> Summary:
     mean = statistics.mean(values)
     if len(values) < LEAST:
         return Summary(mean, None)
-    return Summary(mean, quantile(len(values) - 1) * statistics.stdev(values) / len(values) ** 0.5)
-
-
-def quantile(degrees: int) -> float:
-    """Return the quantile SHARE of Student's t distribution with so many degrees of freedom.
-
-    With t = sqrt(n) tan(a) its density is proportional to cos(a)^(n - 1) in a.
-    """
-    edges = np.linspace(0, np.pi / 2, ANGLES + 1)
-    cumulated = np.cumsum(np.cos((edges[1:] + edges[:-1]) / 2) ** (degrees - 1))
-    angle = np.interp(2 * SHARE - 1, cumulated / cumulated[-1], edges[1:])
-    return float(degrees**0.5 * np.tan(angle))
+    return Summary(mean, student_quantile(len(values) - 1) * statistics.stdev(values) / len(values) ** 0.5)
 
 
 def scores_of(result: Mapping[str, Any]) -> dict[str, float]:

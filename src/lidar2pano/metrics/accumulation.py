@@ -24,7 +24,8 @@ SIDES = ("predicted", "target")
 Array = Tensor | np.ndarray
 
 LEAST_IMAGES = 5  # of a set whose distance has an interval
-STUDENT_T = (np.nan, 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)  # 97.5 %, by degrees of freedom
+SHARE = 0.975  # of Student's distribution below the upper end of a 95 % interval
+ANGLES = 1 << 16  # at which its density is summed
 BLOCK = 1 << 23  # multiplicities in memory at a time, 64 MB
 
 
@@ -289,9 +290,20 @@ def set_intervals(metric: SetMetric, *, most: int = 10) -> dict[str, Interval]:
         half = np.nan
         if len(left) > 1:
             spread = np.sqrt((len(left) - 1) / len(left) * np.square(left - left.mean()).sum())
-            half = STUDENT_T[len(left) - 1] * spread
+            half = student_quantile(len(left) - 1) * spread
         intervals[name] = Interval(value, float(np.maximum(value - half, 0.0)), float(value + half), images)
     return intervals
+
+
+def student_quantile(degrees: int) -> float:
+    """Return the quantile SHARE of Student's t distribution with so many degrees of freedom.
+
+    With t = sqrt(n) tan(a) its density is proportional to cos(a)^(n - 1) in a.
+    """
+    edges = np.linspace(0, np.pi / 2, ANGLES + 1)
+    cumulated = np.cumsum(np.cos((edges[1:] + edges[:-1]) / 2) ** (degrees - 1))
+    angle = np.interp(2 * SHARE - 1, cumulated / cumulated[-1], edges[1:])
+    return float(degrees**0.5 * np.tan(angle))
 
 
 def multiplicities(frames: int, resamples: int, generator: np.random.Generator) -> np.ndarray:
