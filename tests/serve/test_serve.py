@@ -38,7 +38,6 @@ from lidar2pano.formats.readers import read
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
 from lidar2pano.serve import BoundedConnection, Limits, UploadTranslator, create_application, is_loopback
-from lidar2pano.serve.application import FairQueue
 from lidar2pano.serve.uploads import KeptResults, Result, known_ending, parse_parts
 from random_weights import street, write_scan
 from stand_in_pipeline import StandIn
@@ -528,19 +527,6 @@ def test_shutdown_finishes_what_was_taken(scan):
         assert [connection.recv(100)[:12] for connection in taken] == [b"HTTP/1.1 200"] * 3
         for connection in taken:
             connection.close()
-
-
-def test_clients_take_turns():
-    queue, gate, order = FairQueue(), threading.Event(), []
-    calls = [("a", 1), ("a", 2), ("a", 3), ("b", 4), ("c", 5), ("b", 6)]
-    blocker = queue.submit("z", lambda: gate.wait(20))
-    futures = [queue.submit(client, lambda number=number: order.append(number)) for client, number in calls]
-    assert futures[4].cancel()
-    gate.set()
-    queue.close()
-    assert order == [1, 4, 2, 6, 3] and blocker.result()
-    with pytest.raises(RuntimeError, match="closed"):
-        queue.submit("a", lambda: None)
 
 
 def test_results_are_kept_for_a_while():

@@ -1,4 +1,4 @@
-"""The HTTP application: its routes, refusals and answers, and the queue of its one worker."""
+"""The HTTP application: its routes, refusals and answers, and its one worker."""
 
 from __future__ import annotations
 
@@ -6,14 +6,11 @@ import asyncio
 import contextlib
 import json
 import math
-import threading
 import time
-from collections import OrderedDict, deque
-from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future
+from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from importlib.resources import files
-from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from starlette.applications import Starlette
@@ -60,9 +57,9 @@ def create_application(translator: UploadTranslator, limits: Limits, hosts: list
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        service.queue.submit("", get_ready)  # in the thread that reads
+        service.worker.submit(get_ready)  # in the thread that reads
         yield
-        await asyncio.to_thread(service.queue.close)
+        await asyncio.to_thread(service.worker.shutdown, cancel_futures=True)
 
     return Starlette(
         routes=[
@@ -113,7 +110,8 @@ class Service:
 
     def __init__(self, translator: UploadTranslator, limits: Limits) -> None:
         self.translator, self.limits = translator, limits
-        self.queue, self.kept, self.measurements = FairQueue(), KeptResults(limits), Measurements()
+        self.worker = ThreadPoolExecutor(1, "panoramas")
+        self.kept, self.measurements = KeptResults(limits), Measurements()
         self._taken = 0
         self._usual_seconds = 1.0  # of one panorama, a running mean
 
@@ -160,11 +158,9 @@ class Service:
                 body = await self._body(request)
         except TimeoutError:
             raise HTTPException(408, f"no whole body within {self.limits.upload_seconds:g} s; try again") from None
-        client = request.client.host if request.client else ""
         body, name = file_of_form(body, request.headers.get("content-type", ""))
         call = partial(self.translator, body, query.name or name, query.save, query.reading)
-        future = self.queue.submit(client, call)
-        waiting = asyncio.wrap_future(future)
+        waiting = asyncio.get_running_loop().run_in_executor(self.worker, call)
         gone = asyncio.ensure_future(_disconnected(request))
         try:
             await asyncio.wait({waiting, gone}, return_when=asyncio.FIRST_COMPLETED)
@@ -173,9 +169,7 @@ class Service:
             result = waiting.result()
         finally:
             gone.cancel()
-            future.cancel()  # never begun if it has not begun yet
-            if not waiting.done():
-                waiting.add_done_callback(_forgotten)
+            waiting.cancel()  # never begun if it has not begun yet
         self._measure(result)
         return result
 
@@ -280,12 +274,6 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
-def _forgotten(future: asyncio.Future[Any]) -> None:
-    """Take a result without a waiter, to keep asyncio silent."""
-    if not future.cancelled():
-        future.exception()
-
-
 @cache
 def _example() -> bytes:
     return read_bytes(street(), MOST_EXAMPLE_BYTES)
@@ -314,57 +302,3 @@ async def unusable(request: Request, error: InputError) -> Response:
 async def broken(request: Request, error: Exception) -> Response:
     """Answer a fault of the server: its log has the traceback, the client gets none of it."""
     return JSONResponse({"error": "the server failed; its log says why"}, 500, headers=HEADERS)
-
-
-class FairQueue:
-    """Calls waiting for one thread. Clients take turns; the calls of one client keep their order.
-
-    A call cancelled before its start is never made.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: OrderedDict[str, deque[tuple[Future[Any], Callable[[], Any]]]] = OrderedDict()
-        self._changed = threading.Condition()
-        self._closed = False
-        self._thread = threading.Thread(target=self._work, name="panoramas", daemon=True)
-        self._thread.start()
-
-    def submit(self, client: str, call: Callable[[], Any]) -> Future[Any]:
-        """Enter a call and return the future of its result or exception. Raises RuntimeError after `close`."""
-        future: Future[Any] = Future()
-        with self._changed:
-            if self._closed:
-                raise RuntimeError("the queue is closed")
-            self._waiting.setdefault(client, deque()).append((future, call))
-            self._changed.notify()
-        return future
-
-    def close(self) -> None:
-        """Take no more calls, finish the waiting ones, and end the thread."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-        self._thread.join()
-
-    def _next(self) -> tuple[Future[Any], Callable[[], Any]] | None:
-        """Return the first call of the next client, and put the client behind all others; None at the end."""
-        with self._changed:
-            while not self._waiting and not self._closed:
-                self._changed.wait()
-            if not self._waiting:
-                return None
-            client, calls = self._waiting.popitem(last=False)
-            first = calls.popleft()
-            if calls:
-                self._waiting[client] = calls
-            return first
-
-    def _work(self) -> None:
-        while (waiting := self._next()) is not None:
-            future, call = waiting
-            if not future.set_running_or_notify_cancel():
-                continue
-            try:
-                future.set_result(call())
-            except BaseException as error:  # any error is the caller's
-                future.set_exception(error)
