@@ -60,7 +60,7 @@ class Surroundings(NamedTuple):
         return torch.where(self.supported | (self.ids == SKY), 1.0, 1 - self.probabilities[0, SKY])
 
     @property
-    def distance_m(self) -> Tensor:
+    def parallax_distance_m(self) -> Tensor:
         """(H, W) float32 metres, by which a pixel moves as the sensor does; infinite for the sky.
 
         Its inverse is the mean over the surface and the sky, whose inverse is 0: possible sky moves less.
@@ -71,16 +71,16 @@ class Surroundings(NamedTuple):
 class PreviousFrame(NamedTuple):
     """The latest panorama for temporal smoothing, on the scene's raster H x W.
 
-    image           (1, 3, 2H, 2W) float32 in [-1, 1].
-    ids             (H, W) uint8 ids of COMMON15.
-    distance_m      (H, W) float32 metres from the view's origin; infinite for the sky.
-    count           (H, W) float32: how many images each pixel is the mean of.
-    T_world_sensor  (4, 4) float64, metres.
+    image                (1, 3, 2H, 2W) float32 in [-1, 1].
+    ids                  (H, W) uint8 ids of COMMON15.
+    parallax_distance_m  (H, W) float32 metres, as of Surroundings.
+    count                (H, W) float32: how many images each pixel is the mean of.
+    T_world_sensor       (4, 4) float64, metres.
     """
 
     image: Tensor
     ids: Tensor
-    distance_m: Tensor
+    parallax_distance_m: Tensor
     count: Tensor
     T_world_sensor: Tensor
 
@@ -120,7 +120,7 @@ def steady(memory: Memory, image: Tensor, view: View) -> tuple[Memory, Tensor]:
     latest = PreviousFrame(
         image=image.float(),
         ids=around.ids,
-        distance_m=around.distance_m,
+        parallax_distance_m=around.parallax_distance_m,
         count=torch.ones_like(around.count),
         T_world_sensor=around.T_world_sensor,
     )
@@ -141,7 +141,7 @@ def fused(now: Surroundings, previous: Surroundings, view: View) -> Surroundings
     view  the raster of both.
     """
     T_before_now = torch.linalg.inv(previous.T_world_sensor) @ now.T_world_sensor
-    distance_m, distance_before_m = now.distance_m, previous.distance_m
+    distance_m, distance_before_m = now.parallax_distance_m, previous.parallax_distance_m
     flow = ego_flow(distance_m, distance_before_m, T_before_now, view, same=SAME)
     moved_m = moved_distances(distance_before_m, torch.linalg.inv(T_before_now), view)
     stays = ego_flow(moved_m, distance_before_m, T_before_now, view, same=SAME)
@@ -183,7 +183,7 @@ def smoothed(now: PreviousFrame, previous: PreviousFrame, view: View) -> Previou
     view  the raster H x W of both.
     """
     T_before_now = torch.linalg.inv(previous.T_world_sensor) @ now.T_world_sensor
-    flow, agreeing = ego_flows(now.distance_m, previous.distance_m, T_before_now, view, (ANY, SAME))
+    flow, agreeing = ego_flows(now.parallax_distance_m, previous.parallax_distance_m, T_before_now, view, (ANY, SAME))
     agreed = agreeing.known
     rows, columns = torch.meshgrid(
         torch.arange(view.rows, device=flow.shift.device),

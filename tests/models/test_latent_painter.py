@@ -129,7 +129,7 @@ def test_noise_comes_along_when_the_sensor_moves_ahead():
             cell = (math.floor(there[0]), math.floor(there[1]) % 96)
             if not 0 <= cell[0] < 8:
                 continue
-            seen = 1 / float(scene.distance_m[0, cell[0] * 4 + 2, cell[1] * 4 + 2])
+            seen = 1 / float(scene.depth_with_sky_m[0, cell[0] * 4 + 2, cell[1] * 4 + 2])
             inverse = 0 if math.isinf(distance) else 1 / math.sqrt(x * x + y * y + z * z)
             if max(seen, inverse) < 1.4 * min(seen, inverse) or seen == inverse == 0:
                 offset = math.hypot(there[0] - cell[0] - 0.5, there[1] % 1 - 0.5)

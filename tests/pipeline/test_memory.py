@@ -32,7 +32,7 @@ def frame(image, pose=STILL, ids=None, distance_m=None, count=1.0):
     return PreviousFrame(
         image=image,
         ids=torch.full((rows, columns), ROAD, dtype=torch.uint8) if ids is None else ids,
-        distance_m=torch.full((rows, columns), 10.0) if distance_m is None else distance_m,
+        parallax_distance_m=torch.full((rows, columns), 10.0) if distance_m is None else distance_m,
         count=torch.full((rows, columns), count),
         T_world_sensor=pose,
     )
@@ -227,9 +227,9 @@ def test_what_may_be_sky_moves_less():
     measured = UNMEASURED.clone()
     measured[:, :48] = True
     there = around(share, 10.0, class_id=SKY, measured=measured)
-    assert there.distance_m[:12].isinf().all()
-    assert (there.distance_m[12:, :48] == 10).all()
-    assert torch.allclose(1 / there.distance_m[12:, 48:], torch.tensor(0.6 * (1 / 10) + 0.4 * 0))
+    assert there.parallax_distance_m[:12].isinf().all()
+    assert (there.parallax_distance_m[12:, :48] == 10).all()
+    assert torch.allclose(1 / there.parallax_distance_m[12:, 48:], torch.tensor(0.6 * (1 / 10) + 0.4 * 0))
 
 
 # --- what contradicts what was there ----------------------------------------------------------------------------------

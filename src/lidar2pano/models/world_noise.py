@@ -58,7 +58,7 @@ def world_noise(
     if scene.T_world_sensor is None:
         return None, noise[None]
     rays = directions(raster, device=noise.device).double()
-    distance_m = scene.distance_m[0, fold // 2 :: fold, fold // 2 :: fold]
+    distance_m = scene.depth_with_sky_m[0, fold // 2 :: fold, fold // 2 :: fold]
     new = Particles(noise, rays, distance_m, scene.T_world_sensor, scan)
     particles = new if past is None or past.noise.shape != noise.shape else _carried(past, new, raster)
     return particles, particles.noise[None]

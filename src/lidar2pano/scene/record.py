@@ -98,7 +98,7 @@ class Scene:
         return cylinder_points(self.depth_m, self.view)
 
     @property
-    def distance_m(self) -> Tensor:
+    def depth_with_sky_m(self) -> Tensor:
         """(1, H, W) float32 metres: depths, infinite in the sky."""
         return torch.where(self.ids == SKY, torch.inf, self.depth_m)
 
