@@ -14,7 +14,7 @@ import torch
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats import image_files
-from lidar2pano.formats.image_files import HOST, PART, fast_png, read_image, write_colour, write_whole
+from lidar2pano.formats.image_files import HOST, PART, append_bytes, fast_png, read_image, write_colour, write_whole
 from lidar2pano.formats.readers import read
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.geometry.projection import pixels
@@ -325,6 +325,13 @@ def test_unfinished_files_of_dead_processes_are_removed(tmp_path):
         part.write_bytes(b"half")
     assert write_whole(tmp_path / "a", lambda path: path.write_bytes(b"1")).read_bytes() == b"1"
     assert sorted(tmp_path.iterdir()) == sorted([running, elsewhere, tmp_path / "a"])
+
+
+def test_a_short_write_is_completed_or_an_error(tmp_path, monkeypatch):
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:3]))
+    append_bytes(tmp_path / "a", b"one line\n")
+    assert (tmp_path / "a").read_bytes() == b"one line\n"
 
 
 def test_a_calibration_may_be_named_by_a_string(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -20,7 +21,7 @@ from PIL import Image
 
 from lidar2pano.cli import main
 from lidar2pano.data.frames import IGNORE
-from lidar2pano.data.journal import NAME, Journal, Record
+from lidar2pano.data.journal import NAME, Journal, Record, Stamp
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats import image_files
@@ -448,6 +449,25 @@ def test_killed_at_any_time_it_goes_on(root, tmp_path, place, number):
         states_of(aim, Copyist(name))
         assert contents(root) == contents(aim)
     assert states_of(root, Copyist("a")) == ["current"] * 3
+
+
+def test_a_record_behind_half_a_line_is_not_glued_to_it(tmp_path, monkeypatch):
+    """A disk that fills takes a part of a line, and has room again for the next one."""
+    stamp = Stamp(sha256="0" * 64, size=1, changed_ns=1)
+    first, second = (Record(file=name, made_by="x", source=stamp, stamp=stamp) for name in ("a", "b"))
+    journal, write = Journal(tmp_path), os.write
+
+    def full(file: int, data: bytes) -> int:
+        if not (tmp_path / NAME).stat().st_size:
+            return write(file, data[:20])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(OSError, match="No space"):
+            journal.enter(first)
+    journal.enter(second)
+    assert (Journal(tmp_path).of("a"), Journal(tmp_path).of("b")) == ([], [second])
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

@@ -78,6 +78,7 @@ class Journal:
         """Append a record: a killed process does not lose it, a power cut may. OSError if it cannot be written."""
         line = json.dumps(asdict(record), separators=(",", ":")).encode() + b"\n"
         line = b"\n" + line if self._torn else line
+        self._torn = True  # until the whole line is there
         append_bytes(self.path, line)
         self._size, self._torn = self._size + len(line), False
         self._records.setdefault(record.file, []).append(record)

@@ -166,12 +166,16 @@ def check_target(path: str | Path) -> None:
 
 
 def append_bytes(path: str | Path, data: bytes) -> None:
-    """Append to a regular file by one call of the system, so that processes' lines do not mix; no link is followed."""
+    """Append to a regular file by one call of the system, so that processes' lines do not mix; no link is followed.
+
+    Raises OSError if a full disk takes a part only; it stays at the file's end.
+    """
     check_target(path)
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     descriptor = os.open(path, flags, 0o666)
     try:
-        os.write(descriptor, data)
+        while data := data[os.write(descriptor, data) :]:  # the rest of a short write, or the error that it foretells
+            pass
     finally:
         os.close(descriptor)
 
