@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import random
 import signal
+import subprocess
+import sys
 import time
 from collections import Counter
 from dataclasses import replace
@@ -17,7 +20,7 @@ import torch
 from PIL import Image
 
 from bulk_runs import SCANS, assert_each_once, begin, contents, job_of, manifest, run
-from lidar2pano.bulk import Entry, ScanKey, Shard, entries
+from lidar2pano.bulk import Entry, ScanKey, Shard, entries, stores
 from lidar2pano.bulk.data_set import grow
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.stores import SCRATCH, open_store
@@ -407,6 +410,17 @@ def test_other_machines_unfinished_files_stay_for_a_day(tmp_path):
     with store.scratch() as folder:
         assert folder.is_dir()
     assert sorted(tmp_path.iterdir()) == [fresh]
+
+
+def test_unfinished_files_of_another_container_of_the_same_name_stay(tmp_path, monkeypatch):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    monkeypatch.setattr(stores, "MACHINE", f"{platform.node()[:64]}-elsewhere", raising=False)
+    monkeypatch.setattr(os, "getpid", lambda: dead.pid)
+    with open_store(tmp_path).scratch() as running:
+        monkeypatch.undo()
+        with open_store(tmp_path).scratch():
+            assert running.is_dir()
 
 
 def test_where_nothing_can_be_written_the_run_ends(root, tmp_path):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import os
+import platform
 import subprocess
 import sys
 import zlib
@@ -14,7 +15,7 @@ import torch
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats import image_files
-from lidar2pano.formats.image_files import HOST, PART, append_bytes, fast_png, read_image, write_colour, write_whole
+from lidar2pano.formats.image_files import MACHINE, PART, append_bytes, fast_png, read_image, write_colour, write_whole
 from lidar2pano.formats.readers import read
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.geometry.projection import pixels
@@ -318,13 +319,35 @@ def test_a_name_that_is_too_long_is_one_line(tmp_path):
 def test_unfinished_files_of_dead_processes_are_removed(tmp_path):
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    left = tmp_path / f".{HOST}-{dead.pid}-1{PART}"
-    running = tmp_path / f".{HOST}-{os.getpid()}-1{PART}"
-    elsewhere = tmp_path / f".another-{HOST}-{dead.pid}-1{PART}"
+    left = tmp_path / f".{MACHINE}-{dead.pid}-1{PART}"
+    running = tmp_path / f".{MACHINE}-{os.getpid()}-1{PART}"
+    elsewhere = tmp_path / f".another-{MACHINE}-{dead.pid}-1{PART}"
     for part in (left, running, elsewhere):
         part.write_bytes(b"half")
     assert write_whole(tmp_path / "a", lambda path: path.write_bytes(b"1")).read_bytes() == b"1"
     assert sorted(tmp_path.iterdir()) == sorted([running, elsewhere, tmp_path / "a"])
+
+
+def test_unfinished_files_of_another_container_of_the_same_name_stay(tmp_path, monkeypatch):
+    """Its processes are not seen here, as if they were dead; what is a day old goes."""
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+
+    def write(part: Path) -> None:
+        monkeypatch.undo()
+        image_files._sweep.cache_clear()
+        write_whole(tmp_path / "b", lambda path: path.write_bytes(b"1"))
+        part.write_bytes(b"1")
+        old = tmp_path / f".elsewhere-1-1{PART}"
+        old.touch()
+        os.utime(old, (0, 0))
+        image_files._sweep.cache_clear()
+        write_whole(tmp_path / "b", lambda path: path.write_bytes(b"1"))
+        assert part.exists() and not old.exists()
+
+    monkeypatch.setattr(image_files, "MACHINE", f"{platform.node()[:64]}-elsewhere", raising=False)
+    monkeypatch.setattr(os, "getpid", lambda: dead.pid)
+    assert write_whole(tmp_path / "a", write).read_bytes() == b"1"
 
 
 def test_a_short_write_is_completed_or_an_error(tmp_path, monkeypatch):

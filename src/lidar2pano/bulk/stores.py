@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import os
-import platform
 import shutil
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lidar2pano.drives.folders import head_below, names_below
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import append_bytes, check_target, reason
+from lidar2pano.formats.image_files import MACHINE, append_bytes, check_target, is_abandoned, reason
 
-SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
-HOST = platform.node()[:64]
-STALE_S = 24 * 3600  # age at which unfinished files of other machines go; a local process tells by itself
+SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-MACHINE-PROCESS-xxxx
 
 
 def open_store(place: str | Path) -> Store:
@@ -84,7 +80,7 @@ class Folder:
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             self._sweep()
-            folder = Path(tempfile.mkdtemp(prefix=f"{SCRATCH}{HOST}-{os.getpid()}-", dir=self.root))
+            folder = Path(tempfile.mkdtemp(prefix=f"{SCRATCH}{MACHINE}-{os.getpid()}-", dir=self.root))
         except OSError as error:
             raise _unwritable(self.place, error) from error
         try:
@@ -110,11 +106,8 @@ class Folder:
 
     def _sweep(self) -> None:
         for folder in self.root.glob(f"{SCRATCH}*"):
-            host, _, process = folder.name.removeprefix(SCRATCH).rpartition("-")[0].rpartition("-")
-            local = host == HOST and Path("/proc/self").exists()  # its process tells more than a clock, which may jump
             with suppress(FileNotFoundError):  # its own run has just removed it
-                old = time.time() - folder.stat().st_mtime > STALE_S
-                if not Path("/proc", process).exists() if local else old:
+                if is_abandoned(folder, folder.name.removeprefix(SCRATCH).rpartition("-")[0]):
                     shutil.rmtree(folder, ignore_errors=True)
 
 

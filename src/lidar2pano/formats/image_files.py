@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import platform
 import secrets
 import stat
 import struct
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
@@ -28,7 +30,7 @@ DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
 PARTS = 4  # of a PNG's rows, compressed by a thread each
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 PART = ".lidar2pano-part"  # ending of unfinished files
-HOST = platform.node()[:64]
+STALE_S = 24 * 3600  # age at which unfinished files of processes that cannot be seen from here go
 # name of a format for colour images -> ending of its files, Pillow's options
 COLOUR_FORMATS = {
     "png": (".png", {}),
@@ -50,6 +52,21 @@ PACKET = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 </rdf:RDF>
 </x:xmpmeta>
 <?xpacket end="r"?>"""
+
+
+def _machine() -> str:
+    """Return a name of this machine, or container, as far as its processes see each other, for names of files.
+
+    Containers may share a host's name and a folder, but not the numbers of processes; a reboot begins them anew.
+    """
+    digest = hashlib.sha256()
+    with suppress(OSError):  # not on Linux
+        digest.update(Path("/proc/sys/kernel/random/boot_id").read_bytes())
+        digest.update(bytes(Path("/proc/self/ns/pid").readlink()))
+    return f"{platform.node()[:64]}-{digest.hexdigest()[:12]}"
+
+
+MACHINE = _machine()
 
 
 def read_image(path: Path, mode: str | None = None) -> np.ndarray:
@@ -183,11 +200,11 @@ def append_bytes(path: str | Path, data: bytes) -> None:
 def write_whole(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
     """Call `write` with a file beside `path`, flush it to the disk, then rename it: no half file is ever seen.
 
-    Half-written files of killed processes in the same folder are removed. Returns `path`.
+    Half-written files of killed processes in the same folder are removed (`is_abandoned`). Returns `path`.
 
     Raises InputError if the file cannot be written; `option` is the user's to choose differently.
     """
-    part = path.with_name(f".{HOST}-{os.getpid()}-{secrets.token_hex(8)}{PART}")  # nobody can plant a link there
+    part = path.with_name(f".{MACHINE}-{os.getpid()}-{secrets.token_hex(8)}{PART}")  # nobody can plant a link there
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         check_target(path)
@@ -218,11 +235,23 @@ def reason(error: OSError) -> str:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove the unfinished files of processes of this machine which no longer run; once per folder and process."""
-    for part in folder.glob(f".{HOST}-*{PART}"):
-        process = part.name.removeprefix(f".{HOST}-").partition("-")[0]
-        if process.isdecimal() and not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
-            part.unlink(missing_ok=True)
+    """Remove the unfinished files of processes that no longer run; once per folder and process."""
+    for part in folder.glob(f".*{PART}"):
+        with suppress(OSError):  # its own process has just removed it, or it is another user's
+            if is_abandoned(part, part.name[1:].rpartition("-")[0].rpartition("-")[0]):
+                part.unlink()
+
+
+def is_abandoned(path: Path, process: str) -> bool:
+    """Return whether the process of an unfinished file or folder has ended, or, if it is not seen here, must have.
+
+    process  "MACHINE-NUMBER", as in the names of such files.
+    Raises FileNotFoundError if the file is gone.
+    """
+    machine, _, number = process.rpartition("-")
+    if machine == MACHINE and Path("/proc/self").exists():  # this tells more than a clock, which may jump
+        return not Path("/proc", number).exists()
+    return time.time() - path.stat().st_mtime > STALE_S
 
 
 def decode_image(file: IO[bytes], title: str, mode: str | None) -> np.ndarray:
