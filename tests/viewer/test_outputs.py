@@ -107,6 +107,12 @@ def test_a_worlds_image_is_all_around(tmp_path):
     assert layer is not None and (layer == (77, 77, 77, 255)).all()
 
 
+def test_a_packed_scan_has_its_camera_image_too(tmp_path):
+    scan = sequence(tmp_path) / "velodyne" / "000000.bin"
+    packed = scan.rename(scan.with_name("000000.bin.gz"))
+    assert camera_layer(packed, VIEWS["panorama"]) is not None
+
+
 def test_other_scans_have_no_camera(tmp_path):
     scan = sequence(tmp_path, image=False) / "velodyne" / "000000.bin"
     assert camera_layer(scan, VIEWS["panorama"]) is None

@@ -16,6 +16,7 @@ from PIL import Image
 
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import require_extra
+from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.image_files import DEPTH_STEPS, write_whole
 from lidar2pano.geometry.camera import camera_in_panorama
 from lidar2pano.labels import COMMON15
@@ -190,7 +191,7 @@ def camera_layer(scan_file: Path, view: View) -> np.ndarray | None:
     """
     if scan_file.resolve().parent.name != "velodyne":
         return None
-    frame = SemanticKittiFrame(scan_file.resolve().parents[1], scan_file.stem)
+    frame = SemanticKittiFrame(scan_file.resolve().parents[1], stem_of(scan_file))
     if (world := frame.panorama) is not None and world.view.circular:
         return np.dstack([world.image, np.uint8(255) * world.valid])
     if frame.image_file is None or not (frame.folder / "calib.txt").is_file():
