@@ -200,6 +200,12 @@ def test_outputs_of_a_and_of_a_dot_segments_differ(here):
     assert len({f"{name}{ending}" for name in names for ending in ("", *STEM_ENDINGS)}) == 2 * (1 + len(STEM_ENDINGS))
 
 
+def test_a_scan_named_as_one_of_a_recording_has_outputs_of_its_own():
+    names = list(output_stems([Path("drive.mcap"), Path("drive-000001.bin")]).values())
+    assert f"{names[0]}-000001" != names[1] and names != ["drive", "drive-000001"]
+    assert list(output_stems([Path("drive.mcap"), Path("drive-1.bin")]).values()) == ["drive", "drive-1"]
+
+
 def test_a_message_is_short_and_printable(capsys):
     print_error("a\x1b[31mred\n" + "b" * 100_000)
     said = capsys.readouterr().err

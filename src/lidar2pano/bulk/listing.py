@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import PurePosixPath
 
-from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
+from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
-from lidar2pano.drives.folders import STORAGE, Source, find_sources, no_scan, select_files
+from lidar2pano.drives.folders import STORAGE, Source, clashing, find_sources, no_scan, select_files
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions
@@ -18,7 +16,7 @@ from lidar2pano.recordings.reading_process import confined_playback
 from lidar2pano.recordings.recorded_scans import METADATA
 
 ALL = ReadOptions()
-NUMBER = re.compile(r"-\d{6,}(?=(\.segments|\.depth)?\.(png|label)$)")  # in the name of an output of a recording
+STEM_ENDINGS = (".segments", ".depth")  # of a bulk run's outputs
 
 
 def entries(
@@ -145,27 +143,7 @@ def _completed(entry: Entry, store: Store, layout: str) -> Entry:
 def _stems(sources: Sequence[Source]) -> dict[Source, str]:
     """Return the stem of each file and recording of a folder; those whose outputs would clash keep their endings."""
     stems = {item: str(PurePosixPath(item.name).with_name(stem_of(item.name))) for item in sources}
-    stems |= {item: item.name for item in _clashing(stems)}
-    if clashing := _clashing(stems):
-        raise InputError(f"{sources[0].folder}: two scans would have the outputs of {clashing[0].name!r}; rename one")
+    stems |= {item: item.name for item in clashing(stems, STEM_ENDINGS)}
+    if duplicates := clashing(stems, STEM_ENDINGS):
+        raise InputError(f"{sources[0].folder}: two scans would have the outputs of {duplicates[0].name!r}; rename one")
     return stems
-
-
-def _clashing(stems: dict[Source, str]) -> list[Source]:
-    """List the files and recordings with an output of the same name as another one."""
-    outputs = {
-        item: {f"{stem}{'-#' if item.recording else ''}{suffix}" for suffix in SUFFIXES.values()}
-        for item, stem in stems.items()
-    }
-    count = Counter(name for names in outputs.values() for name in names)
-    numbered = {
-        item: {NUMBER.sub("-#", name) for name in names} for item, names in outputs.items() if not item.recording
-    }
-    of_files = {name for names in numbered.values() for name in names}
-    of_recordings = {name for item, names in outputs.items() if item.recording for name in names}
-    return [
-        item
-        for item, names in outputs.items()
-        if any(count[name] > 1 for name in names)
-        or (names & of_files if item.recording else numbered[item] & of_recordings)
-    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from itertools import groupby, islice
@@ -121,8 +121,8 @@ def output_stems(files: Sequence[Path]) -> dict[Path, str]:
         if not shared:
             break
         stems |= {file: "-".join(_without_velodyne(paths[file])[-depth:]) for file in files if stems[file] in shared}
-    outputs = {f"{stem}{ending}" for stem in stems.values() for ending in ("", *STEM_ENDINGS)}
-    if len(outputs) < (1 + len(STEM_ENDINGS)) * len(files):  # another suffix only, or "a" beside "a.segments"
+    recordings = {file: file.is_dir() or _unpacked(file.name).lower().endswith(RECORDINGS) for file in files}
+    if clashing({Source(str(file), recordings[file]): stem for file, stem in stems.items()}, STEM_ENDINGS):
         stems = {file: "-".join(file.resolve().parts[1:]) for file in files}
     return stems
 
@@ -142,6 +142,30 @@ class Source(NamedTuple):
     def folder(self) -> str:
         """Name of its folder."""
         return self.name.rpartition("/")[0]
+
+
+def clashing(stems: Mapping[Source, str], endings: Sequence[str]) -> list[Source]:
+    """List the scan files and recordings with an output of the same name as another one.
+
+    stems  of their outputs' names, to which a recording adds each scan's number;  endings: of stems of further outputs.
+    """
+    outputs = {
+        source: {f"{stem}{'-#' if source.recording else ''}{ending}" for ending in ("", *endings)}
+        for source, stem in stems.items()
+    }
+    count = Counter(name for names in outputs.values() for name in names)
+    number = re.compile(rf"-\d{{6,}}(?=({'|'.join(map(re.escape, endings))})?$)")
+    numbered = {
+        source: {number.sub("-#", name) for name in names} for source, names in outputs.items() if not source.recording
+    }
+    of_files = {name for names in numbered.values() for name in names}
+    of_recordings = {name for source, names in outputs.items() if source.recording for name in names}
+    return [
+        source
+        for source, names in outputs.items()
+        if any(count[name] > 1 for name in names)
+        or (names & of_files if source.recording else numbered[source] & of_recordings)
+    ]
 
 
 def find_sources(names: Iterable[str], head: Head | None = None) -> list[Source]:
