@@ -203,8 +203,3 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch, name, module, extra):
     monkeypatch.setitem(sys.modules, module, None)
     path = made.write(tmp_path, name, FILES[name])
     assert points(path) == f"{path}: needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'"
-
-
-def test_compressed_pcds_need_no_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "lzf", None)
-    assert points(made.write(tmp_path, "a.pcd", FILES["compressed.pcd"])) == len(XYZ)

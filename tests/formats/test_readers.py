@@ -17,7 +17,6 @@ import pytest
 import lidar2pano
 import sample_files as made
 from lidar2pano.errors import InputError
-from lidar2pano.formats import pcd
 from lidar2pano.formats.arrays import DATATYPES, cloud_of
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
@@ -109,24 +108,15 @@ def test_ply_as_plyfile_reads_it(tmp_path, layout):
     np.testing.assert_array_equal(found.intensity, vertex["scalar_intensity"])
 
 
-def test_lzf_in_python_as_the_library_does(monkeypatch):
-    library = pytest.importorskip("lzf")
-    generator = np.random.default_rng(0)
-    for size in (1, 30, 5000, 100_000):
-        data = (
-            np.repeat(generator.integers(0, 4, size), generator.integers(1, 40, size)).astype(np.uint8).tobytes()[:size]
-        )
-        packed = library.compress(data) if size > 30 else None
-        packed = packed or made.lzf(data)
-        assert pcd.decompress_in_python(packed, len(data)) == data
-        assert pcd.decompress(packed, len(data)) == data
-    with pytest.raises(ValueError, match="before its beginning"):
-        pcd.decompress_in_python(bytes([0, 65, 0x20, 9]), 4)
-    for wrong in (len(data) - 1, len(data) + 1):
-        with pytest.raises(ValueError):
-            pcd.decompress(packed, wrong)
-        with pytest.raises(ValueError):
-            pcd.decompress_in_python(packed, wrong)
+def test_a_compressed_pcd_that_did_not_shrink_is_read_as_it_is(tmp_path):
+    points = np.random.default_rng(0).normal(size=(9, 3)).astype("<f4")
+    head = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 9\nHEIGHT 1\nPOINTS 9\nDATA binary_compressed\n"
+    flat = points.T.tobytes()
+    stored = head + np.array([len(flat), len(flat)], "<u4").tobytes() + flat
+    np.testing.assert_array_equal(cloud(made.write(tmp_path, "a.pcd", stored)).xyz, points)
+    packed = bytearray(made.pcd(XYZ, INTENSITY, "binary_compressed"))
+    packed[-900:] = bytes([0x20]) * 900
+    assert "cannot be unpacked (" in complaint(lambda: read(made.write(tmp_path, "b.pcd", bytes(packed))))
 
 
 # --- PCD and PLY -----------------------------------------------------------------------------------------------------

@@ -1,8 +1,6 @@
 """PCD, the format of PCL: ascii, binary, binary_compressed; any field types, padding, organised clouds.
 
-Compressed data are LZF: by python-neo-lzf (extra `formats`) where it is installed, else in Python. A packet begins with
-one byte: below 32 it is followed by so many plus one literal bytes; otherwise its upper three bits are a length (7: a
-further byte is added) and the lower five with the next byte a distance to copy from.
+Compressed data are LZF, unpacked by python-neo-lzf (extra `formats`).
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.delimited_text import numbers
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
@@ -224,12 +222,7 @@ def _compressed(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray
             f"{path}: {points} points of {header.step} bytes do not unpack from {packed} bytes to {unpacked};"
             " the file is damaged"
         )
-    try:
-        flat = decompress(body, unpacked)
-    except ValueError as error:
-        if packed != unpacked:  # what does not shrink some programs write as it is
-            raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged, fetch it again") from None
-        flat = body
+    flat = _unpacked(body, unpacked, path)
     return {
         name: np.frombuffer(flat, dtype, points, offset * points)
         for name, dtype, count, offset in header.fields
@@ -245,50 +238,16 @@ def _check_length(size: int, needed: int, header: Header, path: Path) -> None:
         )
 
 
-def decompress(data: bytes, size: int) -> bytes:
-    """Return the `size` bytes of the unpacked `data`; ValueError if it unpacks to something else."""
-    try:
+def _unpacked(packed: bytes, size: int, path: Path) -> bytes:
+    """Return `size` bytes of LZF; as many packed ones are taken as they are, as some programs write them."""
+    with require_extra("formats", f"{path}:"):
         import lzf
-    except ModuleNotFoundError:
-        return decompress_in_python(data, size)
     try:
-        unpacked = lzf.decompress(data, size)
-    except MemoryError:
-        raise
-    except Exception as error:  # its own errors are not documented
-        raise ValueError(str(error)) from None
-    if unpacked is None or len(unpacked) != size:
-        raise ValueError("it does not have the length that it says")
-    return unpacked
-
-
-def decompress_in_python(data: bytes, size: int) -> bytes:
-    """Like `decompress`, without a library."""
-    out = bytearray()
-    place, end = 0, len(data)
-    try:
-        while place < end and len(out) <= size:
-            control = data[place]
-            place += 1
-            if control < 32:
-                out += data[place : place + control + 1]
-                place += control + 1
-                continue
-            length = control >> 5
-            if length == 7:
-                length += data[place]
-                place += 1
-            start = len(out) - ((control & 31) << 8) - data[place] - 1
-            place += 1
-            length += 2
-            if start < 0:
-                raise ValueError("it copies from before its beginning")
-            piece = bytes(out[start : start + length])
-            if len(piece) < length:  # source and target overlap
-                piece *= -(-length // len(piece))
-            out += piece[:length]
-    except IndexError:
-        raise ValueError("it ends too early") from None
-    if len(out) != size or place != end:
-        raise ValueError("it does not have the length that it says")
-    return bytes(out)
+        flat, reason = lzf.decompress(packed, size), "it does not have the length that it says"
+    except ValueError as error:
+        flat, reason = None, str(error)
+    if flat is not None and len(flat) == size:
+        return flat
+    if len(packed) == size:
+        return packed
+    raise InputError(f"{path}: cannot be unpacked ({reason}); it is damaged, fetch it again")
