@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -254,13 +255,14 @@ def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarra
     return np.where((radius <= radii[-1])[..., None], rays, np.nan)
 
 
-def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375), camera: int = 2) -> Calibration:
+def read_calib(path: str | Path, size: tuple[int, int] | None = (1242, 375), camera: int = 2) -> Calibration:
     """Read KITTI's calibration of a camera, 0 to 3: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0) of the second.
 
     pixel ~ P2 [Tr; 0 0 0 1] [x y z 1]^T. P2 = K [I | b]: the colour camera stands b away from camera 0.
     path  of odometry's calib.txt, a calib file of the object or tracking benchmark (Tr = R0_rect Tr_velo_to_cam), one
           of a raw drive's calib_cam_to_cam.txt and calib_velo_to_cam.txt or of KITTI-360's perspective.txt (its camera
           0) and calib_cam_to_velo.txt, beside each other; or of the folder of one of these.
+    size  (width, height) of the image; None: by the row S_rect of a raw drive or of KITTI-360.
     Raises InputError if the file, P2 or Tr is missing, not numbers, or no camera matrix and rotation.
     """
     path = Path(path)
@@ -275,7 +277,7 @@ def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375), camera: in
         )
     T[:3, 3] += np.linalg.solve(K, P2[:, 3])
     _check_near(path, T)
-    return Calibration(K=K / K[2, 2], T_camera_lidar=T, size=size)
+    return Calibration(K=K / K[2, 2], T_camera_lidar=T, size=size or _size(path, rows, f"S_rect_0{camera}"))
 
 
 def read_camera0(path: str | Path) -> np.ndarray:
@@ -294,6 +296,14 @@ def read_mount(path: Path) -> np.ndarray:
     return _unrectified(path, {name: row for name, row in _rows(path).items() if name in ("R", "T")})
 
 
+def read_rigid(path: Path, name: str = "") -> np.ndarray:
+    """Return the rigid (4, 4) of a row, as in KITTI-360's calib_cam_to_pose.txt; "": of the row without a name.
+
+    Raises InputError if the file or the row is missing, not numbers, or no rotation.
+    """
+    return _rigid(path, name or "1", _matrix(path, _rows(path), name))
+
+
 def has_camera(path: str | Path) -> bool:
     """Return whether a calib.txt has a camera (P2), not the axes of poses.txt alone; InputError if it is missing."""
     return not _rows(Path(path)).keys().isdisjoint(name.format(2) for name in PROJECTIONS)
@@ -304,14 +314,14 @@ def _camera0(path: Path, rows: dict[str, str]) -> np.ndarray:
     rectification = next((name for name in RECTIFICATIONS if name in rows), "")
     if "Tr" in rows or not rectification:
         return _rigid(path, "Tr", _matrix(path, rows, "Tr"))
-    rectifying = np.hstack([_matrix(path, rows, rectification, 3), np.zeros((3, 1))])
+    rectifying = np.hstack([_matrix(path, rows, rectification, (3, 3)), np.zeros((3, 1))])
     return _rigid(path, rectification, rectifying) @ _unrectified(path, rows)
 
 
 def _unrectified(path: Path, rows: dict[str, str]) -> np.ndarray:
     """Return LiDAR -> camera 0 before it is rectified, (4, 4)."""
     if "R" in rows and "T" in rows:  # of a raw drive
-        return _rigid(path, "R", np.hstack([_matrix(path, rows, "R", 3), _matrix(path, rows, "T", 1)]))
+        return _rigid(path, "R", np.hstack([_matrix(path, rows, "R", (3, 3)), _matrix(path, rows, "T", (3, 1))]))
     if "" in rows:  # of KITTI-360: camera 0 -> LiDAR
         return np.linalg.inv(_rigid(path, "1", _matrix(path, rows, "")))
     rigid = next((name for name in RIGIDS if name in rows), RIGIDS[0])
@@ -321,7 +331,7 @@ def _unrectified(path: Path, rows: dict[str, str]) -> np.ndarray:
 def _rigid(path: Path, name: str, matrix: np.ndarray) -> np.ndarray:
     """Return a (3, 4) pose as (4, 4)."""
     if not is_rotation(matrix[:, :3]):
-        raise InputError(f"{path}: row {name}: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
+        raise InputError(f"{path}: row {name}: holds no rotation; take the row from KITTI's file")
     return np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -368,19 +378,28 @@ def _reason(error: Exception) -> str:
     return error.strerror or "no reason given" if isinstance(error, OSError) else "not text"
 
 
-def _matrix(path: Path, rows: dict[str, str], name: str, columns: int = 4) -> np.ndarray:
-    """Return a row as a matrix (3, columns)."""
+def _size(path: Path, rows: dict[str, str], name: str) -> tuple[int, int]:
+    """Return a row as (width, height) of an image."""
+    width, height = _matrix(path, rows, name, (2, 1))[:, 0].astype(int).tolist()
+    if min(width, height) < 1:
+        raise InputError(f"{path}: row {name}: is no size of an image; take the row from KITTI's file")
+    return width, height
+
+
+def _matrix(path: Path, rows: dict[str, str], name: str, shape: tuple[int, int] = (3, 4)) -> np.ndarray:
+    """Return a row as a matrix of a shape."""
     if name not in rows:
         raise InputError(
             f"{path}: has no row {name}:; KITTI's odometry calib.txt has P2: and Tr:, its object benchmark's P2:,"
-            " R0_rect: and Tr_velo_to_cam:"
+            " R0_rect: and Tr_velo_to_cam:, KITTI-360's perspective.txt P_rect_00:, R_rect_00: and S_rect_00:"
         )
     try:
         numbers = np.array([float(word) for word in rows[name].split()])
     except ValueError as error:
         raise InputError(f"{path}: row {name}: holds something that is no number ({error})") from error
-    if numbers.size != 3 * columns or not np.isfinite(numbers).all():
+    count = math.prod(shape)
+    if numbers.size != count or not np.isfinite(numbers).all():
         raise InputError(
-            f"{path}: row {name}: must hold {3 * columns} finite numbers (3x{columns}), it has {numbers.size}"
+            f"{path}: row {name}: must hold {count} finite numbers ({shape[0]}x{shape[1]}), it has {numbers.size}"
         )
-    return numbers.reshape(3, columns)
+    return numbers.reshape(shape)

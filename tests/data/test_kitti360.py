@@ -184,22 +184,28 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda r: (r / "calibration/calib_cam_to_velo.txt").unlink(),
         r"calib_cam_to_velo.txt: cannot be read",
     ),
-    "binary": (lambda r: (r / "calibration/perspective.txt").write_bytes(b"\xff\xfe"), r"cannot be read \(not text\)"),
-    "half a row": (lambda r: rewritten(r, "perspective.txt", "P_rect_00: ", "P_rect_00: 1 "), "P_rect_00 must hold 12"),
-    "no row": (lambda r: rewritten(r, "perspective.txt", "R_rect_00", "R_rect_01"), "R_rect_00 must hold 9 finite"),
-    "words": (lambda r: rewritten(r, "perspective.txt", "480 300", "480 px"), "S_rect_00 must hold 2 finite numbers"),
+    "binary": (
+        lambda r: (r / "calibration/perspective.txt").write_bytes(b"\xff\xfe"),
+        r"cannot be read .*\(not text\)",
+    ),
+    "half a row": (
+        lambda r: rewritten(r, "perspective.txt", "P_rect_00: ", "P_rect_00: 1 "),
+        "P_rect_00: must hold",
+    ),
+    "no row": (lambda r: rewritten(r, "perspective.txt", "R_rect_00", "R_rect_01"), "has no row Tr:.* R_rect_00:"),
+    "words": (lambda r: rewritten(r, "perspective.txt", "480 300", "480 px"), "S_rect_00: holds something that is no"),
     "no size": (lambda r: rewritten(r, "perspective.txt", "480 300", "480 0"), "S_rect_00: is no size of an image"),
     "no camera matrix": (
         lambda r: rewritten(r, "perspective.txt", "P_rect_00: 300.", "P_rect_00: -300."),
-        "'P_rect_00' is no camera matrix",
+        "is no camera matrix",
     ),
     "no rotation": (
         lambda r: (r / "calibration/calib_cam_to_velo.txt").write_text("2 0 0 0 0 1 0 0 0 0 1 0"),
-        r"calib_cam_to_velo.txt: 'the file' holds no rotation",
+        r"calib_cam_to_velo.txt: row 1: holds no rotation",
     ),
     "no mount of the camera": (
         lambda r: rewritten(r, "calib_cam_to_pose.txt", "image_00:", "image_09:"),
-        "calib_cam_to_pose.txt: image_00 must hold 12 finite numbers",
+        "calib_cam_to_pose.txt: has no row image_00:",
     ),
     "poses without numbers": (
         lambda r: (r / POSES).write_text("1 0 0 0 0 1 0 0 0 0 1 0\n"),
@@ -373,19 +379,22 @@ LENS_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda r: rewritten(r, "image_02.yaml", "MEI", "PINHOLE"),
         r"calibration/image_02.yaml: says no 'model_type: MEI'; take the file from the data set",
     ),
-    "no text": (lambda r: (r / "calibration/image_02.yaml").write_bytes(b"\xff\xfe"), r"cannot be read \(not text\)"),
+    "no text": (lambda r: (r / "calibration/image_02.yaml").write_bytes(b"\xff\xfe"), r"is no YAML \(not text\)"),
     "an empty file": (
         lambda r: (r / "calibration/image_03.yaml").write_text(""),
         r"image_03.yaml: says no 'model_type",
     ),
-    "no key": (lambda r: rewritten(r, "image_03.yaml", "xi:", "zeta:"), r"image_03.yaml: xi must hold a finite number"),
+    "no key": (
+        lambda r: rewritten(r, "image_03.yaml", "xi:", "zeta:"),
+        r"03.yaml: xi, .* must be finite numbers",
+    ),
     "words": (
         lambda r: rewritten(r, "image_02.yaml", "k1: ", "k1: some "),
-        r"image_02.yaml: k1 must hold a finite number",
+        r"image_02.yaml: xi, k1, .* must be finite numbers",
     ),
     "nan": (
         lambda r: rewritten(r, "image_02.yaml", "v0: ", "v0: nan\n#"),
-        r"image_02.yaml: v0 must hold a finite number",
+        r"image_02.yaml: .* v0, .* must be finite numbers",
     ),
     "no lens": (lambda r: rewritten(r, "image_02.yaml", "k2: ", "k2: 9e9\n#"), r"xi, k1, k2, p1 and p2 are no lens's"),
     "a mirror inside out": (
@@ -403,11 +412,11 @@ LENS_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no mount": (
         lambda r: rewritten(r, "calib_cam_to_pose.txt", "image_03:", "image_09:"),
-        r"calib_cam_to_pose.txt: image_03 must hold 12 finite numbers",
+        r"calib_cam_to_pose.txt: has no row image_03:",
     ),
     "no rotation": (
         lambda r: rewritten(r, "calib_cam_to_pose.txt", "image_03:", "image_03: 1 0 0 0 1 0 0 0 1 1 0 0\n#"),
-        r"calib_cam_to_pose.txt: 'image_03' holds no rotation",
+        r"calib_cam_to_pose.txt: row image_03: holds no rotation",
     ),
     "another size": (
         lambda r: Image.new("RGB", (10, 9)).save(fisheye_file(r, "image_03")),

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, read_input
-from lidar2pano.calibration import Calibration, LensCalibration
+from lidar2pano.calibration import Calibration, LensCalibration, read_calib, read_rigid
 from lidar2pano.data.cache import cached_by_files
 from lidar2pano.data.frames import (
     IGNORE,
@@ -35,6 +35,7 @@ from lidar2pano.data.surround import SurroundFrame, matrix
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.formats.scan_files import read_bin
+from lidar2pano.formats.yaml_files import read_document
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.name_order import sort_names
@@ -45,6 +46,7 @@ SCANS = "data_3d_raw"
 CAMERA = "image_00"
 FISHEYES = ("image_02", "image_03")  # to the left and to the right
 REACH_DEG = 185 / 2  # of the fisheyes' axes: "roughly 185 degrees", says issue 39 of autonomousvision/kitti360Scripts
+LENS = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0", "image_width", "image_height")
 LARGEST_COEFFICIENT = 100.0  # of a lens; the data set's are below 5
 LISTS = "data_2d_semantics/train/2013_05_28_drive_{}_frames.txt"  # the data set's own lists of labelled images
 FILES = ("perspective.txt", "calib_cam_to_velo.txt", "calib_cam_to_pose.txt")
@@ -248,24 +250,10 @@ def _lens_files(root: Path) -> list[Path]:
 def calibration(root: Path) -> Kitti360Calibration:
     """Read the files of ROOT/calibration; InputError if one is missing or damaged."""
     perspective, cam_to_velo, cam_to_pose = _calibration_files(root)
-    rows = _rows(perspective)
-    P, R, S = (
-        _numbers(perspective, rows, name, n) for name, n in (("P_rect_00", 12), ("R_rect_00", 9), ("S_rect_00", 2))
+    T_camera_lidar = np.linalg.inv(read_rigid(cam_to_velo))
+    return Kitti360Calibration(
+        camera=read_calib(perspective, None, camera=0), T_ego_lidar=read_rigid(cam_to_pose, CAMERA) @ T_camera_lidar
     )
-    P = P.reshape(3, 4)
-    K = matrix(perspective, {"P_rect_00": P[:, :3]}, "P_rect_00", (3, 3))
-    T_rectified_camera = _motion(
-        perspective, "R_rect_00", np.column_stack([R.reshape(3, 3), np.linalg.solve(K, P[:, 3])])
-    )
-    whole = {"the file": read_calibration(cam_to_velo)}
-    T_lidar_camera = _motion(cam_to_velo, "the file", _numbers(cam_to_velo, whole, "the file", 12).reshape(3, 4))
-    T_ego_camera = _motion(cam_to_pose, CAMERA, _numbers(cam_to_pose, _rows(cam_to_pose), CAMERA, 12).reshape(3, 4))
-    T_camera_lidar = np.linalg.inv(T_lidar_camera)
-    width, height = S.astype(int).tolist()
-    if min(width, height) < 1:
-        raise InputError(f"{perspective}: row S_rect_00: is no size of an image; take the file from the data set")
-    camera = Calibration(K=K / K[2, 2], T_camera_lidar=T_rectified_camera @ T_camera_lidar, size=(width, height))
-    return Kitti360Calibration(camera=camera, T_ego_lidar=T_ego_camera @ T_camera_lidar)
 
 
 @cached_by_files(lambda root: [*_calibration_files(root), *_lens_files(root)])
@@ -274,20 +262,25 @@ def fisheye_calibrations(root: Path) -> Mapping[str, LensCalibration]:
     T_ego_lidar, mounts = calibration(root).T_ego_lidar, root / "calibration" / FILES[2]
     lenses = {}
     for name, path in zip(FISHEYES, _lens_files(root), strict=True):
-        T_ego_camera = _motion(mounts, name, _numbers(mounts, _rows(mounts), name, 12).reshape(3, 4))
-        lenses[name] = _lens(path, np.linalg.inv(T_ego_camera) @ T_ego_lidar)
+        lenses[name] = _lens(path, np.linalg.inv(read_rigid(mounts, name)) @ T_ego_lidar)
     return lenses
 
 
 # The files are CamOdoCal's (CataCamera.cc), whose distortion is (k1, k2, p1, p2) of "brown". The data set's own
 # project.py leaves out p1 and p2, "for simplicity" (issue 95 there): up to a pixel of 1400 at the rim.
 def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
-    """Return a fisheye camera by its file: OpenCV's YAML, "NAME: number" a line below the names of sections."""
-    rows = _rows(path)
-    if rows.get("model_type", "").strip().strip("\"'") != "MEI":
+    """Return a fisheye camera by its file."""
+    document = read_document(path, "take the file from the data set")
+    sections = [document, *document.values()] if isinstance(document, dict) else []
+    settings = {key: value for section in sections if isinstance(section, dict) for key, value in section.items()}
+    if settings.get("model_type") != "MEI":
         raise InputError(f"{path}: says no 'model_type: MEI'; take the file from the data set")
-    names = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0", "image_width", "image_height")
-    values = [float(_numbers(path, rows, name, 1)[0]) for name in names]
+    try:
+        values = [float(settings[name]) for name in LENS]
+    except (KeyError, TypeError, ValueError, OverflowError):
+        values = [np.nan]
+    if not np.isfinite(values).all():
+        raise InputError(f"{path}: {', '.join(LENS)} must be finite numbers; take the file from the data set")
     distortion, (fx, fy, cx, cy), size = tuple(values[:5]), values[5:9], values[9:]
     if distortion[0] < 0 or max(map(abs, distortion)) > LARGEST_COEFFICIENT:
         raise InputError(f"{path}: xi, k1, k2, p1 and p2 are no lens's; take the file from the data set")
@@ -306,37 +299,6 @@ def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
         distortion=distortion,
         reach_deg=REACH_DEG,
     )
-
-
-def read_calibration(path: Path) -> str:
-    """Return the text of a file; InputError if it is missing or no text."""
-    try:
-        return read_input(path, "complete the data set", MOST_CALIBRATION_BYTES).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read (not text); complete the data set") from error
-
-
-def _rows(path: Path) -> dict[str, str]:
-    """Return the rows "NAME: numbers" of a file."""
-    parts = (line.partition(":") for line in read_calibration(path).splitlines())
-    return {name.strip(): numbers for name, _, numbers in parts}
-
-
-def _numbers(path: Path, rows: Mapping[str, str], name: str, count: int) -> np.ndarray:
-    """Return the numbers (count,) float64 of a row."""
-    try:
-        numbers = np.array(rows.get(name, "").split(), dtype=np.float64)
-    except ValueError:
-        numbers = np.zeros(0)
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        numbers = f"{count} finite numbers" if count > 1 else "a finite number"
-        raise InputError(f"{path}: {name} must hold {numbers}; take the file from the data set")
-    return numbers
-
-
-def _motion(path: Path, name: str, rows: np.ndarray) -> np.ndarray:
-    """Return (4, 4) of a rotation and a translation (3, 4)."""
-    return matrix(path, {name: np.vstack([rows, [0, 0, 0, 1]])}, name, (4, 4))
 
 
 @cached_by_files(lambda path: [path])
@@ -365,7 +327,8 @@ def _labelled(root: Path, split: str) -> list[str]:
         raise InputError(
             f"{path}: is missing, which says what the split {split!r} is; download the semantics, or write splits.json"
         )
-    images = [Path(line.split()[0]).parts for line in read_calibration(path).splitlines() if line.strip()]
+    text = read_input(path, "complete the data set", MOST_CALIBRATION_BYTES).decode("utf-8", "replace")
+    images = [Path(line.split()[0]).parts for line in text.splitlines() if line.strip()]
     if not all(len(parts) >= 4 for parts in images):
         raise InputError(f"{path}: must have lines .../SEQUENCE/{CAMERA}/data_rect/N.png; take it from the data set")
     names = (f"{sequence}/{Path(file).stem}" for *_, sequence, camera, _, file in images if camera == CAMERA)
