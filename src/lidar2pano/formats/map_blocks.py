@@ -128,16 +128,9 @@ def _lines(file: BinaryIO, layout: RowLayout, path: Path) -> Iterator[Columns]:
 
 def _rows(file: BinaryIO, layout: RowLayout, length: int, path: Path) -> Iterator[Columns]:
     """Yield the fields of binary rows."""
-    size, left = layout.dtype.itemsize, length - layout.start
-    count = layout.count or left // max(size, 1)
-    if not size or count * size > left:
-        raise InputError(
-            f"{path}: its header says {count} points, which need {count * size} bytes, but {left} follow;"
-            " the file is truncated"
-        )
+    count = layout.binary_count(length, path)
     for start in range(0, count, BLOCK_POINTS):
-        rows = np.frombuffer(file.read(min(BLOCK_POINTS, count - start) * size), layout.dtype)
-        yield {name: rows[f"{place}"] for name, place in layout.columns.items()}
+        yield layout.fields(file.read(min(BLOCK_POINTS, count - start) * layout.dtype.itemsize))
 
 
 def _cloud(columns: Columns, path: Path) -> PointCloud:

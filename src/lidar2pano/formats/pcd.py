@@ -51,7 +51,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     if header.layout == "ascii":
         columns, doubts = _ascii(data, header, path)
     elif header.layout == "binary":
-        columns = _binary(memoryview(data)[header.start :], header, path)
+        columns = _binary(data, _layout_of(header), path)
     else:
         columns = _compressed(data, header, path)
     if header.claims:
@@ -74,8 +74,10 @@ def decode(data: bytes, path: Path) -> PointCloud:
 def row_layout(head: bytes, path: Path) -> RowLayout | None:
     """Return how the points follow each other, by a file's beginning; None if they are packed or unsure."""
     header = read_header(head, path)
-    if header.layout == "binary_compressed" or header.claims:
-        return None
+    return None if header.layout == "binary_compressed" or header.claims else _layout_of(header)
+
+
+def _layout_of(header: Header) -> RowLayout:
     form: Any = {
         "names": [f"{place}" for place in range(len(header.fields))],
         "formats": [(dtype, (count,)) if count != 1 else dtype for _, dtype, count, _ in header.fields],
@@ -198,17 +200,12 @@ def _of_type(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return values.astype(dtype)
 
 
-def _binary(data: memoryview, header: Header, path: Path) -> dict[str, np.ndarray]:
-    points = header.points or len(data) // header.step
-    _check_length(len(data), points * header.step, header, path)
-    if len(data) - points * header.step >= header.step and any(data[points * header.step :]):
+def _binary(data: bytes, layout: RowLayout, path: Path) -> dict[str, np.ndarray]:
+    points = layout.binary_count(len(data), path)
+    end = layout.start + points * layout.dtype.itemsize
+    if len(data) - end >= layout.dtype.itemsize and any(memoryview(data)[end:]):
         raise InputError(f"{path}: its header says {points} points, but more follow; write the file again")
-    data = data if points else memoryview(bytes(header.step))  # NumPy takes no view of nothing
-    return {
-        name: np.ndarray((points,), dtype, data, offset, (header.step,))
-        for name, dtype, count, offset in header.fields
-        if count == 1 and name != "_"
-    }
+    return layout.fields(memoryview(data)[layout.start : end])
 
 
 def _compressed(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:

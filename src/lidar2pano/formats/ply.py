@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.delimited_text import BLOCK_BYTES, numbers
+from lidar2pano.formats.delimited_text import numbers
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
 
@@ -43,44 +44,45 @@ class Element(NamedTuple):
     count: int
     properties: list[Property]
 
-    def runs(self) -> list[list[Property]]:
-        """Return the properties in runs: each but the last one ends with a list."""
-        runs: list[list[Property]] = [[]]
-        for entry in self.properties:
-            runs[-1].append(entry)
-            if entry.count is not None:
-                runs.append([])
-        return runs
+    @property
+    def has_lists(self) -> bool:
+        """Whether its items have different lengths."""
+        return any(entry.count is not None for entry in self.properties)
+
+    def layout(self, start: int, *, text: bool) -> RowLayout:
+        """Return how items without lists follow each other from an offset on; of properties of one name the first."""
+        scalars = [entry for entry in self.properties if entry.count is None]
+        dtype = np.dtype([(f"{place}", entry.values) for place, entry in enumerate(scalars)])
+        columns: dict[str, int] = {}
+        for place, entry in enumerate(scalars):
+            columns.setdefault(entry.name, place)
+        return RowLayout(start, dtype, columns, self.count, text)
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the vertices without their lists; InputError if header and content do not fit each other."""
     layout, elements, place, start = _whole_header(data, path)
-    vertices, last = elements[place], place == len(elements) - 1
+    vertices, last, header_end = elements[place], place == len(elements) - 1, start
     if {entry.name for entry in vertices.properties} >= SPLAT:
         raise InputError(f"{path}: holds Gaussian splats, a scene learned from photographs; name a scan")
     if not 0 < vertices.count <= MOST_POINTS:
         raise sweep_error(path, vertices.count)
     if layout == "ascii":
-        body = data[start:]
-        if skipped := sum(element.count for element in elements[:place]):
-            body = body.split(b"\n", skipped)[-1]
-        columns = _ascii(body, vertices, path, last)
+        columns = _ascii(data[start:], elements, place, path)
     else:
-        for element in elements[:place]:
-            start = _binary(data, start, element, path)[1]
-        columns, end = _binary(data, start, vertices, path)
-        if (
-            last
-            and data[end:].strip(b"\0\r\n\t ")
-            and len(data) - end >= max((end - start) // max(vertices.count, 1), 1)
-        ):
+        items = memoryview(b"")
+        for element in elements[: place + 1]:
+            first = start
+            items, start = _binary(data, first, element, path)
+        least = max((start - first) // vertices.count, 1)
+        if last and data[start:].strip(b"\0\r\n\t ") and len(data) - start >= least:
             raise InputError(
                 f"{path}: its header says {vertices.count} points, but more follow; the file is damaged or truncated"
             )
+        columns = vertices.layout(0, text=False).fields(items)
     faces = sum(element.count for element in elements if element.name == "face")
     doubts = [f"it has {faces} faces: a mesh, and no scan of a LiDAR"] if faces > 0 else []
-    if is_of_carla(data[:start], vertices):
+    if is_of_carla(data[:header_end], vertices):
         columns["y"], doubts = -columns["y"], [*doubts, OF_CARLA]
     return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path), doubts=doubts)
 
@@ -99,14 +101,12 @@ def row_layout(head: bytes, path: Path) -> RowLayout | None:
     layout, elements, place, start = _whole_header(head, path)
     *preceding, vertices = elements[: place + 1]
     rows = [element for element in preceding if element.count]
-    if len(vertices.runs()) > 1 or any(len(element.runs()) > 1 for element in rows):
+    if any(element.has_lists for element in (*rows, vertices)):
         return None
     if layout == "ascii" and (rows or elements[-1] is not vertices):
         return None
-    sizes = (element.count * sum(entry.values.itemsize for entry in element.properties) for element in rows)
-    columns = {entry.name: place for place, entry in reversed(list(enumerate(vertices.properties)))}
-    dtype = np.dtype([(f"{place}", entry.values) for place, entry in enumerate(vertices.properties)])
-    return RowLayout(start + sum(sizes), dtype, columns, vertices.count, layout == "ascii")
+    sizes = (element.count * element.layout(0, text=False).dtype.itemsize for element in rows)
+    return vertices.layout(start + sum(sizes), text=layout == "ascii")
 
 
 def _whole_header(data: bytes, path: Path) -> tuple[str, list[Element], int, int]:
@@ -151,70 +151,52 @@ def _type(layout: str, name: str) -> np.dtype:
     return np.dtype(ORDERS.get(layout, "<") + TYPES[name])
 
 
-def _binary(data: bytes, start: int, element: Element, path: Path) -> tuple[dict[str, np.ndarray], int]:
-    """Return the scalar properties of an element whose items begin at `start`, and the end of its items."""
-    runs = element.runs()
-    places, end = _places(data, start, element, runs, path)
+def _binary(data: bytes, start: int, element: Element, path: Path) -> tuple[memoryview, int]:
+    """Return the items of an element, which begin at `start`, without their lists, and the place where they end."""
+    end = start + element.count * element.layout(0, text=False).dtype.itemsize
+    items = memoryview(data)[start:end]
+    if element.has_lists:
+        items, end = _walk(data, start, element, path)
     if not start <= end <= len(data):
         raise InputError(
             f"{path}: its header says {element.count} items of {element.name!r}, which need {end - start} bytes,"
             f" but {len(data) - start} follow; the file is damaged or truncated"
         )
-    content = np.frombuffer(data, np.uint8)
-    columns: dict[str, np.ndarray] = {}
-    for place, run in zip(places, runs, strict=True):
-        offset = 0
-        for entry in run:
-            if entry.count is None:
-                size = entry.values.itemsize
-                if isinstance(place, range):
-                    values = np.ndarray((element.count,), entry.values, data, place.start + offset, (place.step,))
-                else:
-                    values = content[place[:, None] + (offset + np.arange(size))].view(entry.values)[:, 0]
-                columns.setdefault(entry.name, values)
-                offset += size
-    return columns, end
+    return items, end
 
 
-def _places(
-    data: bytes, start: int, element: Element, runs: list[list[Property]], path: Path
-) -> tuple[list[range | np.ndarray], int]:
-    """Return where each run of properties begins in each item, and the end of the items."""
-    sizes = [sum(entry.values.itemsize for entry in run if entry.count is None) for run in runs]
-    if len(runs) == 1:
-        end = start + element.count * sizes[0]
-        return [range(start, max(end, start + 1), max(sizes[0], 1))], end
-    if not 0 <= element.count <= MOST_LISTED:
+def _walk(data: bytes, start: int, element: Element, path: Path) -> tuple[memoryview, int]:
+    """Like `_binary`, one item after the other."""
+    if element.count > MOST_LISTED:
         raise InputError(f"{path}: {element.count} items with lists are no single sweep; write the vertices alone")
-    places = np.empty((len(runs), element.count), np.int64)
-    lists = [run[-1] for run in runs[:-1]]
-    place = start
-    for item in range(element.count):
-        for number, listed in enumerate(lists):
-            places[number, item] = place
-            place += sizes[number]
-            if listed.count is None or place + listed.count.itemsize > len(data):
-                raise InputError(f"{path}: ends within {element.name!r} {item}; the file is damaged or truncated")
-            count = int(np.frombuffer(data, listed.count, 1, place)[0])
-            place += listed.count.itemsize + max(count, 0) * listed.values.itemsize
-        places[-1, item] = place
-        place += sizes[-1]
-    return list(places), place
+    steps = [(entry.values.itemsize, entry.count) for entry in element.properties]
+    items, place = bytearray(), start
+    try:
+        for _ in range(element.count):
+            for size, count in steps:
+                if count is None:
+                    items += data[place : place + size]
+                    place += size
+                else:
+                    place += count.itemsize + max(int(np.frombuffer(data, count, 1, place)[0]), 0) * size
+    except (ValueError, OverflowError):
+        raise InputError(f"{path}: ends within {element.name!r}; the file is damaged or truncated") from None
+    return memoryview(items), place
 
 
-def _ascii(data: bytes, vertices: Element, path: Path, last: bool) -> dict[str, np.ndarray]:
-    if len(vertices.runs()) > 1:
-        data = b"\n".join(_without_lists(line, vertices, path) for line in data.splitlines()[: vertices.count])
-    elif not last:  # faces follow
-        data = data[: _end_of_line(data, vertices.count)]
-    scalars = [entry for entry in vertices.properties if entry.count is None]
-    table, _ = numbers(data, path, len(scalars))
+def _ascii(text: bytes, elements: list[Element], place: int, path: Path) -> dict[str, np.ndarray]:
+    """Return the scalar properties of the vertices, of the lines behind the header."""
+    vertices = elements[place]
+    text = text[_end_of_line(text, sum(element.count for element in elements[:place])) :]
+    if vertices.has_lists or place < len(elements) - 1:
+        text = text[: _end_of_line(text, vertices.count)]
+    if vertices.has_lists:
+        text = b"\n".join(_without_lists(line, vertices, path) for line in text.splitlines())
+    layout = vertices.layout(0, text=True)
+    table, _ = numbers(text, path, len(layout.dtype.names or ()))
     if len(table) != vertices.count:
         raise InputError(f"{path}: its header says {vertices.count} points, but it holds {len(table)}; fetch it again")
-    columns: dict[str, np.ndarray] = {}
-    for place, entry in enumerate(scalars):
-        columns.setdefault(entry.name, table[:, place].astype(entry.values))
-    return columns
+    return {name: table[:, place].astype(layout.dtype[place]) for name, place in layout.columns.items()}
 
 
 def _without_lists(line: bytes, vertices: Element, path: Path) -> bytes:
@@ -232,14 +214,10 @@ def _without_lists(line: bytes, vertices: Element, path: Path) -> bytes:
     return b" ".join(scalars)
 
 
-def _end_of_line(data: bytes, number: int) -> int:
-    """Return the place of the end of line `number`, from 1; the end of the data if they have fewer lines."""
-    for start in range(0, len(data), BLOCK_BYTES):
-        ends = np.flatnonzero(np.frombuffer(data, np.uint8, min(BLOCK_BYTES, len(data) - start), start) == ord("\n"))
-        if number <= len(ends):
-            return start + int(ends[number - 1]) if number else 0
-        number -= len(ends)
-    return len(data)
+def _end_of_line(text: bytes, number: int) -> int:
+    """Return the place behind line `number`, from 1; the end of the text if it has fewer lines."""
+    ends = (match.end() for match in re.finditer(b"\n", text))
+    return next(islice(ends, min(number - 1, len(text)), None), len(text)) if number > 0 else 0
 
 
 def write_ply(path: Path, columns: Mapping[str, np.ndarray]) -> None:

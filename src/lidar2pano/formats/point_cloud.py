@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -115,6 +116,22 @@ class RowLayout(NamedTuple):
     columns: dict[str, int]
     count: int
     text: bool
+
+    def binary_count(self, length: int, path: Path) -> int:
+        """Return the number of rows in a file of `length` bytes; InputError if it is truncated."""
+        size, left = self.dtype.itemsize, length - self.start
+        count = self.count or left // max(size, 1)
+        if not size or count * size > left:
+            raise InputError(
+                f"{path}: its header says {count} points, which need {count * size} bytes, but {left} follow;"
+                " the file is truncated"
+            )
+        return count
+
+    def fields(self, rows: bytes | memoryview) -> dict[str, np.ndarray]:
+        """Return the fields of some binary rows by their names."""
+        values = np.frombuffer(rows, self.dtype if self.columns else np.uint8)
+        return {name: values[f"{place}"] for name, place in self.columns.items()}
 
 
 def sweep_error(source: object, points: int) -> InputError:
