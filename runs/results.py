@@ -9,8 +9,9 @@ import csv
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lidar2pano.evaluate.report import Row, entry_cell, markdown_table, number_cell
+from lidar2pano.evaluate.report import Row, entry_cell, number_cell
 from lidar2pano.labels import COMMON14
+from lidar2pano.markdown import markdown_table
 from lidar2pano.reproduce.paper_tables import ROWS as PAPER
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -20,10 +20,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from lidar2pano.demo import street
 from lidar2pano.engines import accelerated, pick_engine
-from lidar2pano.formats.json_files import markdown_table
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.hardware import Timer, has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
+from lidar2pano.markdown import markdown_table
 from lidar2pano.memory import Memory
 from lidar2pano.models import build
 from lidar2pano.models.families import best_family, families

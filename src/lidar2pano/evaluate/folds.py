@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.report import PREFIX, ROWS, markdown_table
+from lidar2pano.evaluate.report import PREFIX, ROWS
+from lidar2pano.markdown import markdown_table
 from lidar2pano.metrics.accumulation import student_quantile
 
 PLACEHOLDER = "{fold}"  # in a name of weights: stands for the name of the fold to be scored

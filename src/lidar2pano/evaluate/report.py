@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
 from lidar2pano.evaluate.metric_collection import SWD_LEVELS, UNSCORED, MetricValue
-from lidar2pano.formats.json_files import markdown_table
 from lidar2pano.labels import COMMON15
+from lidar2pano.markdown import markdown_table
 
 Entry = Mapping[str, Any]  # of "values": sector, name, value, low, high, frames; None where undefined
 Values = Mapping[tuple[str, str], Entry]  # by sector and name

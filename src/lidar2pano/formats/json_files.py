@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -31,18 +31,6 @@ T = TypeVar("T")
 def read_json(path: Path, mend: str = "complete the data set", *, nan: bool = False) -> Any:
     """Read a JSON file; InputError if it is missing, no regular file, too large, or refused by `parse_json`."""
     return parse_json(read_input(path, mend), str(path), mend, nan=nan)
-
-
-def front_matter(fields: Mapping[str, object]) -> str:
-    """Return the YAML header of a Markdown page, as hubs of models and data sets read it: JSON values are YAML."""
-    lines = (f"{key}: {json.dumps(value, ensure_ascii=False)}\n" for key, value in fields.items())
-    return "---\n" + "".join(lines) + "---\n"
-
-
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table whose columns are aligned to the right, but for the first."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan: bool = False) -> Any:

@@ -13,7 +13,7 @@ from typing import TypedDict
 from lidar2pano.bounded_files import name_of_open, open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_text, write_whole
-from lidar2pano.formats.json_files import front_matter
+from lidar2pano.markdown import front_matter
 from lidar2pano.models.card import SCORES, Card, read_card, write_scores
 from lidar2pano.models.families import families
 

@@ -8,9 +8,10 @@ from typing import Any
 
 from lidar2pano import __version__
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.report import by_name, markdown_table, number_cell, value_of
+from lidar2pano.evaluate.report import by_name, number_cell, value_of
 from lidar2pano.formats.image_files import write_text
 from lidar2pano.labels import COMMON14
+from lidar2pano.markdown import markdown_table
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.reproduce.images import write_curves, write_sheets

@@ -18,8 +18,8 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_text, write_whole
-from lidar2pano.formats.json_files import front_matter
 from lidar2pano.labels import CITYSCAPES
+from lidar2pano.markdown import front_matter
 from lidar2pano.simulate.layout.street_world import World, build_world
 from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
