@@ -55,7 +55,6 @@ NUMBERED = re.compile(r"arr_\d+")  # numpy.savez's own names
 MOST_MEMBERS = 1000  # arrays of an archive
 UNPACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # bzip2 and lzma give out gigabytes at a time
 MOST_HEADER = 1 << 16  # of an NPY: NumPy itself refuses more than 10,000 bytes
-BLOCK_BYTES = 1 << 20
 MOST_ODD = 0.1  # of the coordinates of a right byte order
 SMALLEST, LARGEST = 1e-6, 1e7  # of a coordinate, in any unit: others are bytes of something else
 WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
@@ -350,7 +349,7 @@ def _array(file: IO[bytes], length: int, source: str) -> np.ndarray:
         if version > (3, 0):
             raise InputError(f"{source}: is an NPY of version {version[0]}, newer than 3; write it in an older one")
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read_header(head)
+        shape, _, dtype = read_header(head)
     except InputError:
         raise
     except Exception as error:  # a bad literal raises many
@@ -363,11 +362,5 @@ def _array(file: IO[bytes], length: int, source: str) -> np.ndarray:
             f"{source}: says {' x '.join(map(str, shape))} values of {dtype.itemsize} bytes, but {left} bytes follow;"
             " the file is damaged or truncated"
         )
-    data = bytearray(left)
-    place = head.readinto(data)
-    while place < left and (block := file.read(min(left - place, BLOCK_BYTES))):
-        data[place : place + len(block)] = block
-        place += len(block)
-    if place < left:
-        raise InputError(f"{source}: ends after {place} of {left} bytes; the file is damaged or truncated")
-    return np.frombuffer(data, dtype, count).reshape(shape, order="F" if fortran else "C")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
