@@ -1,6 +1,6 @@
 """PCD, the format of PCL: ascii, binary, binary_compressed; any field types, padding, organised clouds.
 
-Compressed data are LZF, unpacked by python-neo-lzf (extra `formats`).
+Compressed data are LZF, unpacked by python-neo-lzf.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import lzf
 import numpy as np
 
-from lidar2pano.errors import InputError, require_extra
+from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import numbers
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
@@ -237,8 +238,6 @@ def _check_length(size: int, needed: int, header: Header, path: Path) -> None:
 
 def _unpacked(packed: bytes, size: int, path: Path) -> bytes:
     """Return `size` bytes of LZF; as many packed ones are taken as they are, as some programs write them."""
-    with require_extra("formats", f"{path}:"):
-        import lzf
     try:
         flat, reason = lzf.decompress(packed, size), "it does not have the length that it says"
     except ValueError as error:

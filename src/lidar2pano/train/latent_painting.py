@@ -52,8 +52,8 @@ class LatentPaintingOptions(TaskOptions):
     columns      width of a crop on the scene's raster, a multiple of 16.
     segmenter, translator   weight files of the networks that make the scenes.
     autoencoder  weight file of the latents; a painter that goes on (`networks.painter.start`) has its own.
-    cache        folder of the sectors, some 3 MB each; "": the folder .lidar2pano of their data set. They are made once:
-                 where a data set's files change, remove its sectors.
+    cache        folder of the sectors, some 3 MB each; "": the folder .lidar2pano of their data set. They are made
+                 once: where a data set's files change, remove its sectors.
     free_probability    of a sample whose flow is given nothing of the scene, for guidance.
     style_probability   of a sample to be given a style, of some columns of its photograph.
     given_probability   of one of those to be given the latents of some columns as well.
