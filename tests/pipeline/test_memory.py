@@ -8,6 +8,7 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import DOUBT, FADED, LEAST_IMAGES, MOST, PreviousFrame, Surroundings, fused, smoothed
 from lidar2pano.views import View
+from poses import somewhere
 
 VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
 NAMES = ("road", "car", "sky", "sidewalk", "vegetation", "pole")
@@ -15,6 +16,7 @@ ROAD, CAR, SKY, SIDEWALK, TREE, POLE = map(COMMON15.id_of, NAMES)
 STILL = torch.eye(4, dtype=torch.float64)
 MEASURED = torch.ones(VIEW.rows, VIEW.columns, dtype=torch.bool)
 UNMEASURED = torch.zeros_like(MEASURED)
+WORLDS = [pytest.param(STILL, id="world"), pytest.param(torch.from_numpy(somewhere()), id="another-world")]
 
 
 def turned(columns):
@@ -59,19 +61,22 @@ def test_the_newest_image_never_weighs_less_than_one_of_most():
     assert torch.allclose(memory.image, noise(1) + (noise(0) - noise(1)) / MOST, atol=1e-3)
 
 
-def test_what_was_found_is_moved_over_a_turn_and_across_the_seam():
+@pytest.mark.parametrize("world", WORLDS)
+def test_what_was_found_is_moved_over_a_turn_and_across_the_seam(world):
     """After a turn to the left by 7 columns, everything stands 7 columns further right."""
     before = noise(2)
     now = torch.roll(before, 14, dims=3)
     ids = torch.tensor([ROAD, CAR, SKY], dtype=torch.uint8)[torch.arange(96) * 3 // 96].expand(24, -1)
-    memory = smoothed(frame(now, turned(7), torch.roll(ids, 7, dims=1)), frame(before, ids=ids), VIEW)
+    previous = frame(before, world, ids)
+    memory = smoothed(frame(now, world @ turned(7), torch.roll(ids, 7, dims=1)), previous, VIEW)
     assert (memory.count == 2).all()
     assert (memory.image - now).abs().max() < 1e-3
-    other = smoothed(frame(now, turned(-7)), frame(before), VIEW)
+    other = smoothed(frame(now, world @ turned(-7)), previous, VIEW)
     assert (other.image - now).abs().mean() > 0.1, "a turn the other way does not fit"
 
 
-def test_a_step_forward_carries_by_distance():
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_step_forward_carries_by_distance(world):
     """Three walls of a place: what is smoothed is the pattern on them, not where it was in the image."""
 
     def look(origin):
@@ -88,8 +93,8 @@ def test_a_step_forward_carries_by_distance():
     pose[0, 3] = 2.0
     origin = np.array(VIEW.origin)
     before, now = look(origin), look(origin + [2, 0, 0])
-    one = frame(before[0], distance_m=before[1].float())
-    memory = smoothed(frame(torch.zeros_like(now[0]), pose, distance_m=now[1].float()), one, VIEW)
+    one = frame(before[0], world, distance_m=before[1].float())
+    memory = smoothed(frame(torch.zeros_like(now[0]), world @ pose, distance_m=now[1].float()), one, VIEW)
     averaged = memory.count == 2
     assert averaged.float().mean() > 0.9
     there = averaged.repeat_interleave(2, 0).repeat_interleave(2, 1)
@@ -170,13 +175,14 @@ def test_the_newest_scan_never_weighs_less_than_one_of_most():
     )
 
 
-def test_classes_are_moved_over_a_turn_and_across_the_seam():
+@pytest.mark.parametrize("world", WORLDS)
+def test_classes_are_moved_over_a_turn_and_across_the_seam(world):
     """After a turn to the left by 7 columns, everything stands 7 columns further right."""
     share = torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(0)) * 0.5
     now = share.roll(7, 1)
-    memory = fused(around(now, pose=turned(7)), around(share), VIEW)
+    memory = fused(around(now, pose=world @ turned(7)), around(share, pose=world), VIEW)
     assert (memory.count == 2).all() and torch.allclose(memory.probabilities[0, CAR], now, atol=1e-3)
-    other = fused(around(now, pose=turned(-7)), around(share), VIEW)
+    other = fused(around(now, pose=world @ turned(-7)), around(share, pose=world), VIEW)
     assert (other.probabilities[0, CAR] - now).abs().mean() > 0.05, "a turn the other way does not fit"
 
 
@@ -187,17 +193,18 @@ def cylinder_m(origin):
     return ((-b + (b**2 - a * c).sqrt()) / a).float()
 
 
-def test_depths_change_as_the_sensor_moves():
+@pytest.mark.parametrize("world", WORLDS)
+def test_depths_change_as_the_sensor_moves(world):
     """Two metres ahead the walls are elsewhere; depths that were right stay so, and errors of 8 % go in part."""
     pose, origin = torch.eye(4, dtype=torch.float64), np.array(VIEW.origin)
     pose[0, 3] = 2.0
     before_m, now_m = cylinder_m(origin), cylinder_m(origin + [2, 0, 0])
-    right = fused(around(0.2, now_m, pose), around(0.2, before_m), VIEW)
+    right = fused(around(0.2, now_m, world @ pose), around(0.2, before_m, world), VIEW)
     averaged = right.count == 2
     assert averaged.float().mean() > 0.9
     assert (right.depth_m[0] / now_m - 1)[averaged].abs().max() < 0.02
     assert (before_m / now_m - 1).abs().max() > 0.1
-    wrong = fused(around(0.2, 1.08 * now_m, pose), around(0.2, before_m), VIEW)
+    wrong = fused(around(0.2, 1.08 * now_m, world @ pose), around(0.2, before_m, world), VIEW)
     assert (wrong.depth_m[0] / now_m).median() == pytest.approx(1.08**0.5, abs=0.015)
 
 
