@@ -13,6 +13,7 @@ from lidar2pano.models.latent_painter import Clues, class_shares, conditions_of,
 from lidar2pano.models.world_noise import world_noise
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
+from poses import pose_of, somewhere
 
 VIEW = replace(VIEWS["panorama"], rows=32, columns=384)
 NARROW = ((4, 6, 8), (1, 1, 1))
@@ -141,6 +142,19 @@ def test_noise_comes_along_when_the_sensor_moves_ahead():
         for cell in np.ndindex(8, 96):
             value = float(noise[0, 0][cell])
             assert value == carried[cell] if cell in carried else value not in old
+
+
+def test_noise_is_carried_by_the_motion_between_poses_wherever_they_are():
+    """A step ahead and a turn, of a sensor in another corner of the world."""
+
+    def carried(world):
+        particles, noise = None, torch.empty(0)
+        for pose in (np.eye(4), pose_of(20, 0, 0, (1.5, 0.5, 0))):
+            particles, noise = world_noise(particles, scene_of(street(), CENTRED, world @ pose), 2, 4)
+        return noise
+
+    same = carried(np.eye(4)) == carried(somewhere())
+    assert same.float().mean() > 0.99  # rounding may decide between two pixels
 
 
 def test_what_comes_before_a_place_has_noise_of_its_own():
