@@ -38,6 +38,7 @@ from lidar2pano.labels import CITYSCAPES, COMMON15
 from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisation
 from lidar2pano.panorama import Panorama
 from lidar2pano.views import VIEWS, View
+from poses import pose_of, somewhere
 from random_weights import street, write_weights
 
 ROAD, CAR, SKY, BUS = (COMMON15.id_of(name) for name in ("road", "car", "sky", "other-vehicle"))
@@ -485,6 +486,20 @@ def test_the_flow_follows_the_pose():
         assert (panorama_flow(changed(frames[0], panorama=near), frames[1]) is not None) == known
     assert camera_flow(changed(frames[0], camera_labels=None), frames[1]) is None
     assert camera_flow(*frames).shift.shape == (2, 2, 6)
+
+
+@pytest.mark.parametrize("flow_of", [camera_flow, panorama_flow])
+def test_the_flow_is_of_the_motion_between_poses_wherever_they_are(flow_of):
+    """A turn to the left moves all to the right: it was farther left."""
+
+    def flow(world):
+        poses = (world, world @ pose_of(6, 0, 0, (0.2, 0.1, 0)))
+        return flow_of(*(frame_of(f"00/{n:06d}", pose=T, panorama=true_panorama()) for n, T in enumerate(poses)))
+
+    found, elsewhere = flow(np.eye(4)), flow(somewhere())
+    assert torch.equal(found.known, elsewhere.known)
+    torch.testing.assert_close(found.shift, elsewhere.shift, atol=1e-4, rtol=0)
+    assert found.known.any() and (found.shift[0][found.known] < 0).all()
 
 
 def test_the_flow_of_what_may_move_is_not_known():
