@@ -8,9 +8,11 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.recorded_scans import recorded_motion
+from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
+from lidar2pano.recordings.transforms import fixed_poses
 from miniature import street
 from miniature_recordings import START_NS, STEP_NS, odometry, points, transform, write
+from poses import fields_of, pose_of, somewhere
 
 NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 MOUNT = (1.0, 0.0, 1.7, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # turned left by 90 degrees
@@ -93,3 +95,35 @@ def test_poses_are_read_for_the_wanted_time_only(tmp_path):
     found, _ = motion(tmp_path, [*SCAN, *drive(odometry, 60)], start_s=2.0, end_s=3.0)
     (link,) = found.links
     assert 1.7e9 + 0.95 < link.stamp_s[0] < 1.7e9 + 1.05 and 1.7e9 + 3.85 < link.stamp_s[-1] < 1.7e9 + 4.05
+
+
+@pytest.mark.parametrize("make", [odometry, lambda stamp, pose: transform(stamp, "odom", "velodyne", pose)])
+def test_poses_are_of_their_stamps_and_not_of_when_they_were_recorded(tmp_path, make):
+    sent = [one._replace(stamp_ns=one.stamp_ns + STEP_NS // 2) for one in drive(make)]
+    found, _ = motion(tmp_path, [*SCAN, *sent])
+    np.testing.assert_allclose(found.pose(1.7e9 + 0.45)[:3, 3], [2.25, 0.45, 0], atol=1e-5)
+
+
+def mounts(folder, links, frames):
+    """The fixed poses of frames by links (parent, child, pose)."""
+    sent = [transform(START_NS, parent, child, fields_of(T), "/tf_static") for parent, child, T in links]
+    path = write(folder, "bag", [*SCAN, *sent])
+    reader = recording_reader(path)
+    assert reader is not None and reader.open is not None
+    recording = reader.open(path)
+    found = fixed_poses(recording, frames)
+    recording.close()
+    return found
+
+
+def test_fixed_poses_are_products_from_the_root_down(tmp_path):
+    T_root_a, T_a_b = somewhere(), pose_of(-60, 20, 5, (1, 2, 3))
+    found = mounts(tmp_path, [("a", "b", T_a_b), ("root", "a", T_root_a)], ("b", "/a", "root"))
+    np.testing.assert_allclose(found["b"], T_root_a @ T_a_b, atol=1e-9)
+    np.testing.assert_allclose(found["/a"], T_root_a, atol=1e-9)
+    np.testing.assert_array_equal(found["root"], np.eye(4))
+
+
+def test_frames_below_two_roots_have_no_fixed_poses(tmp_path):
+    links = [("root", "a", somewhere()), ("other", "b", somewhere())]
+    assert mounts(tmp_path, links, ("a", "b")) is None
