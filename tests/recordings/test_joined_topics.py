@@ -13,17 +13,18 @@ from lidar2pano.recordings.playback import playback
 from lidar2pano.recordings.recorded_scans import recording_reader
 from miniature import street
 from miniature_recordings import START_NS, STEP_NS, points, transform, write
+from poses import fields_of, pose_of
 
-TOP = (0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0)
-SIDE = (0.5, 0.8, 1.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # turned left by 90 degrees
+T_BASE_TOP = pose_of(20, 5, -3, (1.1, -0.2, 2))
+T_TOP_SIDE = np.array([[0.0, -1, 0, 0.5], [1, 0, 0, 0.8], [0, 0, 1, -1], [0, 0, 0, 1]])  # turned left by 90 degrees
 LATER_NS = 30_000_000
 
 
 def drive(count: int = 4):
     """Clouds of both sensors: the one at the side begins later and measures a fixed corner of its own."""
     sent = [
-        transform(START_NS, "base_link", "top", TOP, "/tf_static"),
-        transform(START_NS, "base_link", "/side", SIDE, "/tf_static"),
+        transform(START_NS, "base_link", "top", fields_of(T_BASE_TOP), "/tf_static"),
+        transform(START_NS, "base_link", "/side", fields_of(T_BASE_TOP @ T_TOP_SIDE), "/tf_static"),
     ]
     for number in range(count):
         stamp_ns = START_NS + number * STEP_NS
