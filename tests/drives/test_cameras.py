@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,9 @@ from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.stitching import look, points_in
 from miniature_layouts import write_nuscenes_layout
 from miniature_surround import SIZE, camera_view, painting, six, sweep, write_nuscenes, write_pandaset
+from poses import pose_of
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
 AHEAD = next(iter(six().values()))
 NAMES = list(six())
 
@@ -250,32 +253,59 @@ def test_calibrations_move_with_the_frame(tmp_path):
     assert replace(moved, T_camera_lidar=AHEAD.T_camera_lidar).centre == pytest.approx(AHEAD.centre)
 
 
-def write_oxts(drive: Path, speed: float = 10.0, heading: float = 0.3, lift: tuple[float, ...] = (0.5, 0, 1)) -> None:
-    """Poses of a drive straight ahead, 0.1 s apart, the last at 25.971 s; the IMU stands at `lift` beside the LiDAR."""
+def write_oxts(drive: Path, pose_at: Callable[[float], Sequence[float]], T_velo_imu: np.ndarray) -> None:
+    """Poses of a drive by their time: metres to the east, north and up; roll, pitch and yaw in radians."""
     (drive / "oxts" / "data").mkdir(parents=True)
-    stamps = [25.671, 25.771, 25.871, 25.971]
+    stamps = [25.8, 25.85, 25.9, 25.951]
     for number, stamp in enumerate(stamps):
-        along = speed * (stamp - 25.951) / 6378137.0  # of the earth's radius
-        latitude = 49 + np.degrees(along * np.sin(heading))
-        longitude = 8 + np.degrees(along * np.cos(heading) / np.cos(np.radians(49)))
-        numbers = [latitude, longitude, 110, 0, 0, heading, *[0] * 24]
+        east, north, up, *angles = pose_at(stamp)
+        latitude = 49 + np.degrees(north / 6378137.0)  # by the earth's radius
+        longitude = 8 + np.degrees(east / 6378137.0 / np.cos(np.radians(49)))
+        numbers = [latitude, longitude, up, *angles, *[0] * 24]
         (drive / "oxts" / "data" / f"{number:010d}.txt").write_text(" ".join(map(repr, map(float, numbers))) + "\n")
     (drive / "oxts" / "timestamps.txt").write_text("".join(f"2011-09-26 13:02:{stamp}\n" for stamp in stamps))
-    (drive.parent / "calib_imu_to_velo.txt").write_text(row("R", np.eye(3)) + row("T", lift))
+    mount = row("R", T_velo_imu[:3, :3]) + row("T", T_velo_imu[:3, 3])
+    (drive.parent / "calib_imu_to_velo.txt").write_text(mount)
+
+
+def straight_on(stamp: float) -> tuple[float, ...]:
+    """10 m/s in a direction 0.3 rad left of the east."""
+    along = 10 * (stamp - 25.951)
+    return along * np.cos(0.3), along * np.sin(0.3), 110, 0, 0, 0.3
 
 
 def test_motion_between_an_image_and_its_scan_is_taken_out(tmp_path):
     scan = raw_drive(tmp_path)
     still = cameras_of(scan, "", CameraOptions(), np.eye(4)).cameras[0].calibration
-    write_oxts(scan.parents[2])
+    write_oxts(scan.parents[2], straight_on, pose_of(0, 0, 0, (0.5, 0, 1)))
     moved = cameras_of(scan, "", CameraOptions(), np.eye(4)).cameras[0].calibration
     assert moved.centre == pytest.approx(np.subtract(still.centre, (0.51, 0, 0)), abs=1e-3)  # 0.051 s before the scan
     np.testing.assert_allclose(moved.T_camera_lidar[:3, :3], still.T_camera_lidar[:3, :3], atol=1e-9)
 
 
+def test_motion_of_an_imu_that_turns_and_leans_is_taken_out(tmp_path):
+    """The image is of 25.9 s, the scan of 25.951 s; roll, pitch and yaw are those of the data set's devkit."""
+    scan, T_velo_imu = raw_drive(tmp_path), pose_of(2, -1, 0.5, (0.8, -0.3, 1))
+
+    def numbers(stamp: float) -> tuple[float, ...]:
+        roll_deg, pitch_deg, yaw_deg = 3 + 8 * (stamp - 25.9), 5 - 10 * (stamp - 25.9), 70 + 40 * (stamp - 25.9)
+        return 9 * (stamp - 25.9), 12 * (stamp - 25.9), 110, *np.radians((roll_deg, pitch_deg, yaw_deg))
+
+    write_oxts(scan.parents[2], numbers, T_velo_imu)
+    found = cameras_of(scan, "", CameraOptions(), np.eye(4)).cameras[0].calibration
+    T_velo_camera = np.linalg.inv(AHEAD.T_camera_lidar)
+    world = []
+    for stamp in (25.9, 25.951):
+        *place, roll, pitch, yaw = numbers(stamp)
+        T_world_imu = pose_of(*np.degrees((yaw, pitch, roll)), place)
+        world.append(T_world_imu @ np.linalg.inv(T_velo_imu))
+    expected = np.linalg.inv(world[1]) @ world[0] @ T_velo_camera
+    np.testing.assert_allclose(np.linalg.inv(found.T_camera_lidar), expected, atol=1e-5)
+
+
 def test_damaged_poses_leave_the_cameras(tmp_path):
     scan = raw_drive(tmp_path)
-    write_oxts(scan.parents[2])
+    write_oxts(scan.parents[2], straight_on, np.eye(4))
     (scan.parents[2] / "oxts" / "data" / "0000000002.txt").write_text("49 8 110\n")
     found = cameras_of(scan, "", CameraOptions(), np.eye(4))
     assert len(found.cameras) == 1
