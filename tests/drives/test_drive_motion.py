@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 import lidar2pano
-from lidar2pano.drives.drive_motion import CITY_COLUMNS, CITY_POSES, DriveMotion, T_scan_cloud, city_motion
+from lidar2pano.drives.drive_motion import DriveMotion, T_scan_cloud, city_motion
 from lidar2pano.drives.reading import posed_scans
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Overrides, interpret
@@ -20,6 +20,7 @@ from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.motion import SensorMotion, Trajectory
 from miniature import CALIB, street
 from miniature_recordings import START_NS, STEP_NS, points, transform, write
+from poses import fields_of, pose_of
 
 
 def pose(number: int) -> tuple[float, ...]:
@@ -39,6 +40,7 @@ def test_scans_come_with_their_poses(tmp_path):
     assert len(found) == 3
     for number, (scan, T) in enumerate(found):
         np.testing.assert_allclose(T[:3, 3], pose(2 * number)[:3], atol=1e-5)
+        np.testing.assert_allclose(T[:3, 0], [np.cos(0.2 * number), np.sin(0.2 * number), 0], atol=1e-6)
         np.testing.assert_array_equal(scan.xyz, street(2 * number, 1500).xyz)
     assert lidar2pano.posed_scans is posed_scans
 
@@ -116,24 +118,28 @@ def test_an_estimated_motion_deskews_the_next_scan():
     np.testing.assert_array_equal(late.xyz, scan.xyz)  # a gap: the motion before tells nothing
 
 
+CITY = "city_SE3_egovehicle.feather"
+
+
 def write_city(root, rows):
+    """A log of Argoverse 2 whose poses are rows of nanoseconds, x y z in metres, and quaternions x y z w."""
     feather = pytest.importorskip("pyarrow.feather", reason="Argoverse is read by the extra 'formats'")
     import pyarrow
 
     folder = root / "log" / "sensors" / "lidar"
     folder.mkdir(parents=True)
-    table = pyarrow.table(
-        {name: list(values) for name, values in zip(CITY_COLUMNS, zip(*rows, strict=True), strict=True)}
-    )
-    feather.write_feather(table, root / "log" / CITY_POSES)
+    stamp_ns, x, y, z, qx, qy, qz, qw = map(list, zip(*rows, strict=True))
+    table = {"timestamp_ns": stamp_ns, "qw": qw, "qx": qx, "qy": qy, "qz": qz, "tx_m": x, "ty_m": y, "tz_m": z}
+    feather.write_feather(pyarrow.table(table), root / "log" / CITY)
     return folder
 
 
 def test_city_poses_of_argoverse(tmp_path):
-    rows = [(315966265259836000 + number * STEP_NS, *pose(number)) for number in range(4)]
+    T = [pose_of(30 * number, 5, -3, (1.5 * number, 0.2, 7)) for number in range(4)]
+    rows = [(315966265259836000 + number * STEP_NS, *fields_of(pose)) for number, pose in enumerate(T)]
     motion, origin = city_motion(write_city(tmp_path, rows))
-    assert origin.endswith(CITY_POSES)
-    np.testing.assert_allclose(motion.pose(315966265.259836 + 0.2)[:3, 3], pose(2)[:3], atol=1e-4)
+    assert origin.endswith(CITY)
+    np.testing.assert_allclose(motion.pose(315966265.259836 + 0.2), T[2], atol=1e-4)
     assert city_motion(tmp_path) is None
 
 
@@ -141,6 +147,6 @@ def test_damaged_city_poses_are_one_line(tmp_path):
     folder = write_city(tmp_path, [(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
     with pytest.raises(InputError, match="holds no poses that can be read"):
         city_motion(folder)
-    (tmp_path / "log" / CITY_POSES).write_bytes(b"ARROW1")
+    (tmp_path / "log" / CITY).write_bytes(b"ARROW1")
     with pytest.raises(InputError, match="holds no poses that can be read"):
         city_motion(folder)
