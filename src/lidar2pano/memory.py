@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances
+from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances, relative_pose
 from lidar2pano.geometry.rasters import adjacent_rows, likeliest, warp
 from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.scene.record import Scene
@@ -140,7 +140,7 @@ def fused(now: Surroundings, previous: Surroundings, view: View) -> Surroundings
     another class, or `DOUBT` has used up its count. What may move does not stay.
     view  the raster of both.
     """
-    T_before_now = torch.linalg.inv(previous.T_world_sensor) @ now.T_world_sensor
+    T_before_now = relative_pose(previous.T_world_sensor, now.T_world_sensor)
     distance_m, distance_before_m = now.parallax_distance_m, previous.parallax_distance_m
     flow = ego_flow(distance_m, distance_before_m, T_before_now, view, same=SAME)
     moved_m = moved_distances(distance_before_m, torch.linalg.inv(T_before_now), view)
@@ -182,7 +182,7 @@ def smoothed(now: PreviousFrame, previous: PreviousFrame, view: View) -> Previou
     where the distance agrees.
     view  the raster H x W of both.
     """
-    T_before_now = torch.linalg.inv(previous.T_world_sensor) @ now.T_world_sensor
+    T_before_now = relative_pose(previous.T_world_sensor, now.T_world_sensor)
     flow, agreeing = ego_flows(now.parallax_distance_m, previous.parallax_distance_m, T_before_now, view, (ANY, SAME))
     agreed = agreeing.known
     rows, columns = torch.meshgrid(

@@ -21,7 +21,7 @@ from lidar2pano.data.journal import Journal
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.evaluate.panorama_system import SAME_PLACE_M
 from lidar2pano.geometry.camera import panorama_in_camera, panorama_in_view
-from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
+from lidar2pano.geometry.flow import Flow, ego_flow, relative_pose, scan_distances
 from lidar2pano.geometry.rasters import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import may_move
@@ -99,12 +99,6 @@ def follows(previous: Frame | None, frame: Frame) -> bool:
     return sequence == last_sequence and decimal and int(number) == int(last) + 1
 
 
-def relative_pose(previous: Frame, frame: Frame) -> Tensor:
-    """Return T_previous_frame (4, 4) float64, metres, of two frames with poses."""
-    assert previous.pose is not None and frame.pose is not None
-    return torch.from_numpy(np.linalg.inv(previous.pose) @ frame.pose)
-
-
 def camera_flow(previous: Frame, frame: Frame) -> Flow | None:
     """Return the flow in the camera, by poses and depths, of a frame that follows another; None without camera labels.
 
@@ -115,7 +109,7 @@ def camera_flow(previous: Frame, frame: Frame) -> Flow | None:
     if frame.camera_labels.shape != previous.camera_labels.shape:
         return None
     distances = [camera_distances(item, frame.calibration) for item in (frame, previous)]
-    flow = ego_flow(distances[0], distances[1], relative_pose(previous, frame), frame.calibration)
+    flow = ego_flow(distances[0], distances[1], _motion(previous, frame), frame.calibration)
     return _static(flow, CITYSCAPES_TO_COMMON15[frame.camera_labels])
 
 
@@ -133,11 +127,17 @@ def panorama_flow(previous: Frame, frame: Frame) -> Flow | None:
     distances = [_panorama_distances(item) for item in (frame, previous)]
     if distances[0] is None or distances[1] is None:
         return None
-    flow = ego_flow(distances[0], distances[1], relative_pose(previous, frame), new.view)
+    flow = ego_flow(distances[0], distances[1], _motion(previous, frame), new.view)
     valid = torch.from_numpy(np.array(old.valid))[None, None].float()
     old_valid = warp(valid, flow.shift[None], circular=new.view.circular)[0, 0] > 0.999
     flow = Flow(shift=flow.shift, known=flow.known & old_valid & torch.from_numpy(np.array(new.valid)))
     return flow if new.labels is None else _static(flow, np.array(new.labels))
+
+
+def _motion(previous: Frame, frame: Frame) -> Tensor:
+    """Return T_previous_frame (4, 4) float64, metres, of two frames with poses."""
+    assert previous.pose is not None and frame.pose is not None
+    return relative_pose(previous.pose, frame.pose)
 
 
 def camera_distances(frame: Frame, calibration: Calibration) -> Tensor:

@@ -56,9 +56,10 @@ def chained(later: Flow, earlier: Flow, *, circular: bool = False) -> Flow:
     return Flow(shift=shift * (known > 0)[:, None], known=known)
 
 
-def relative_pose(T_world_before: np.ndarray, T_world_now: np.ndarray) -> Tensor:
+def relative_pose(T_world_before: np.ndarray | Tensor, T_world_now: np.ndarray | Tensor) -> Tensor:
     """T_before_now (4, 4) float64 of two poses: the sensor's coordinates now -> its coordinates before, metres."""
-    return torch.from_numpy(np.linalg.inv(T_world_before) @ T_world_now)
+    before, now = (torch.asarray(T, dtype=torch.float64, copy=True) for T in (T_world_before, T_world_now))
+    return torch.linalg.inv(before) @ now
 
 
 def ego_flow(

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.flow import moved_ends
+from lidar2pano.geometry.flow import moved_ends, relative_pose
 from lidar2pano.geometry.projection import directions, nearest_points, pixels
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import azimuths, same_surface
@@ -66,8 +66,8 @@ def world_noise(
 
 def _carried(past: Particles, new: Particles, raster: View) -> Particles:
     """Return new particles, replaced by those of the previous scan that have come to their places."""
-    T_now_before = torch.from_numpy(np.linalg.inv(new.T_world_sensor) @ past.T_world_sensor)
-    ends = moved_ends(past.rays, past.distance_m, T_now_before, past.rays.new_tensor(raster.origin))
+    T_new_past = relative_pose(new.T_world_sensor, past.T_world_sensor)
+    ends = moved_ends(past.rays, past.distance_m, T_new_past, past.rays.new_tensor(raster.origin))
     x, y, z = ends.unbind(-1)
     row, column = pixels(x, y, z, raster)
     pixel_row, pixel_column = row.floor(), column.floor()
