@@ -13,12 +13,19 @@ import pytest
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.ouster_packets import PROFILES
 from lidar2pano.recordings.recorded_scans import recording_reader
 
 BEAMS, COLUMNS = 4, 64
 ALTITUDES, AZIMUTHS = [15.0, 5.0, -5.0, -15.0], [3.0, -1.0, 3.0, -1.0]
 ORIGIN_MM = 15.8
+PROFILES = (
+    "LEGACY",
+    "RNG19_RFL8_SIG16_NIR16",
+    "RNG19_RFL8_SIG16_NIR16_DUAL",
+    "RNG15_RFL8_NIR8",
+    "RNG15_RFL8_NIR8_DUAL",
+    "FUSA_RNG15_RFL8_NIR8_DUAL",
+)
 TO_SENSOR = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1]
 
 
@@ -57,16 +64,18 @@ def second_mm(millimetres: int) -> int:
 
 
 def pixel(profile: str, millimetres: int, reflectivity: int) -> bytes:
+    """Signal 7 and near-infrared light 9; every reserved bit is set."""
     further = second_mm(millimetres)
     match profile:
         case "LEGACY":
-            return struct.pack("<IHHHxx", millimetres | 0xF0000000, reflectivity, 7, 9)
+            return struct.pack("<IHHHH", millimetres | 0xFFF00000, reflectivity, 7, 9, 0xFFFF)
         case "RNG19_RFL8_SIG16_NIR16":
-            return struct.pack("<IBxHHxx", millimetres | 0xF8000000, reflectivity, 7, 9)
+            return struct.pack("<IBBHHH", millimetres | 0xFFF80000, reflectivity, 0xFF, 7, 9, 0xFFFF)
         case "RNG19_RFL8_SIG16_NIR16_DUAL":
-            return struct.pack("<IIHHHxx", millimetres | reflectivity << 24, further | 77 << 24, 7, 8, 9)
-    second = struct.pack("<HBx", further >> 3, 77) if profile.endswith("DUAL") else b""
-    return struct.pack("<HBB", millimetres >> 3, reflectivity, 9) + second
+            words = (millimetres | 0x00F80000 | reflectivity << 24, further | 0x00F80000 | 77 << 24)
+            return struct.pack("<IIHHHH", *words, 7, 8, 9, 0xFFFF)
+    second = struct.pack("<HBB", further >> 3 | 0x8000, 77, 0xFF) if profile.endswith("DUAL") else b""
+    return struct.pack("<HBB", millimetres >> 3 | 0x8000, reflectivity, 9) + second
 
 
 def packet(profile: str, turn: int, first: int) -> bytes:
@@ -148,6 +157,7 @@ def test_points_of_each_profile(tmp_path, profile, describe, most):
             rows = rows + [row for row, _ in behind]
         np.testing.assert_allclose(cloud.xyz, expected, atol=1e-5)
         assert cloud.intensity is not None and cloud.intensity.tolist() == intensity
+        assert cloud.near_infrared is not None and (cloud.near_infrared == 9).all()
         assert cloud.ring is not None and cloud.ring.tolist() == [beam for _, beam in rows]
         assert cloud.time_s is not None and cloud.time_s == pytest.approx([column * 1e-3 for column, _ in rows])
         assert cloud.stamp_s == pytest.approx(1000 + 0.1 * turn)
