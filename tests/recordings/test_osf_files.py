@@ -20,6 +20,7 @@ from lidar2pano.recordings.recorded_scans import describe, recording_reader
 HERE = Path(__file__).parent
 DUAL, TWO = HERE / "dual_returns.osf", HERE / "two_sensors.osf"
 BEAMS, COLUMNS, LOST = 8, 512, 20
+UINT16, UINT32 = 2, 3  # of CHAN_FIELD_TYPE
 XYZLUT = {  # (sensor, turn) -> the places of beam 0, column 1 and of beam 5, column 100, by ouster-sdk
     (0, 0): ([-3.85620531, 0.24875218, 1.06736684], [-1.50946886, 4.46187878, -0.49276258]),
     (0, 1): ([-4.82011438, 0.31113817, 1.32618588], [-1.82786055, 5.40320268, -0.60472705]),
@@ -59,6 +60,16 @@ def test_points_are_those_of_the_vendors_library(path, topic, sensor):
         assert (cloud.intensity[: held.size].reshape(held.shape) == 10 * np.arange(BEAMS)[:, None] + turn).all()
         assert cloud.time_s[: len(kept)] == pytest.approx(np.array(kept) * 1e-4)
         assert cloud.stamp_s == pytest.approx(1000 + 0.1 * turn)
+
+
+def test_near_infrared_light_is_not_the_signal(tmp_path):
+    """Both are 5 in the file, of the second return the signal is 0: numbers 3 and 4 make it the first one's."""
+    ranges = bytes([1, UINT32, 2, UINT32])
+    data, path = DUAL.read_bytes(), tmp_path / "a.osf"
+    assert data.count(signals := ranges + bytes([3, UINT16, 4, UINT16])) == 2, "one for each turn"
+    path.write_bytes(data.replace(signals, ranges + bytes([4, UINT16, 3, UINT16])))
+    for cloud in (*clouds(DUAL), *clouds(path)):
+        assert (cloud.near_infrared == 5).all()
 
 
 def test_second_returns_follow():
