@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import struct
 import zlib
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lidar2pano.calibration import LensCalibration
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import gpano
 from lidar2pano.geometry.camera import equirectangular
 from lidar2pano.views import View
 from random_weights import street
+from slow_definitions import look_up_slowly
 from small_panoramas import VIEW, small_panorama
 
 FACES = ("front", "right", "back", "left", "up", "down")
@@ -114,6 +117,45 @@ def test_a_cube_has_six_files_for_each_image(tmp_path):
     names = [f"a.{face}.jpg" for face in FACES] + [f"a.{face}.segments.png" for face in FACES] + ["a.label"]
     assert [file.name for file in files] == names
     assert {pixels(file).shape[:2] for file in files[:-1]} == {(2 * round(VIEW.focal_px),) * 2}
+
+
+def some_pixels(rows: int, columns: int, count: int = 20) -> list[tuple[int, int]]:
+    generator = np.random.default_rng(3)
+    return list(zip(generator.integers(0, rows, count), generator.integers(0, columns, count), strict=True))
+
+
+def test_colours_of_a_sphere_are_those_of_the_slow_definition(tmp_path):
+    panorama, target = small_panorama(), equirectangular(VIEW)
+    (path,) = panorama.save(tmp_path, projection="equirectangular")
+    for row, column in some_pixels(target.rows, 1152):
+        azimuth, elevation = math.pi - (column + 0.5) * math.tau / 1152, (target.up - (row + 0.5) * 360 / 1152)
+        ray = (math.cos(azimuth), math.sin(azimuth), math.tan(math.radians(elevation)))
+        wanted = look_up_slowly(panorama.colour, VIEW, ray)
+        assert pixels(path)[row, column] == pytest.approx(wanted, abs=1)
+
+
+def test_colours_of_a_cube_are_those_of_the_slow_definition(tmp_path):
+    panorama = small_panorama()
+    left = pixels(panorama.save(tmp_path, projection="cubemap")[FACES.index("left")])
+    size, top = len(left), len(left) * 2 // 5  # a fifth of the rows is within the panorama
+    for row_below, column in some_pixels(size // 5, size):
+        row = top + row_below
+        ray = ((column + 0.5) * 2 / size - 1, 1.0, 1 - (row + 0.5) * 2 / size)  # to its right lies ahead
+        assert left[row, column] == pytest.approx(look_up_slowly(panorama.colour, VIEW, ray), abs=1)
+
+
+def test_colours_in_a_lens_are_those_of_the_slow_definition():
+    """A fisheye with 100 pixels per radian that looks ahead: x right is -y, y down is -z, z ahead is x."""
+    panorama, axes = small_panorama(), np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    K = np.array([[100.0, 0, 90], [0, 100, 15], [0, 0, 1]])
+    lens = LensCalibration(K=K, T_camera_lidar=axes, size=(181, 31), model="fisheye", distortion=(0.0,) * 4)
+    view = panorama.to_camera(lens)
+    for row, column in some_pixels(31, 181):
+        right, down = (column - 90) / 100, (row - 15) / 100
+        angle = math.hypot(right, down)
+        aside = math.sin(angle) / angle
+        wanted = look_up_slowly(panorama.colour, VIEW, (math.cos(angle), -right * aside, -down * aside))
+        assert view.valid[row, column] and view.colour[row, column] == pytest.approx(wanted, abs=1)
 
 
 def test_an_unknown_projection_is_one_line(tmp_path):
