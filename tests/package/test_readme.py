@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from typing import Any
 
 import pytest
 
@@ -31,6 +32,9 @@ def test_readme_runs(beside_scans):
     text = README.read_text(encoding="utf-8")
     parts = blocks(text, "python")
     assert parts and len(parts) == text.count("```python"), "README.md shows no Python, or not all of it is run"
-    names: dict[str, object] = {"__name__": "__main__"}
+    names: dict[str, Any] = {"__name__": "__main__"}
     for block in parts:
         exec(compile(block, "README.md", "exec"), names)
+    assert names["panorama"].colour.shape == (384, 4608, 3)
+    files = {path.name for path in (beside_scans / "panoramas").iterdir()}
+    assert files == {"scan.png", "scan.segments.png", "scan.label", "scan.depth.png"}
