@@ -112,6 +112,13 @@ def test_scans_of_the_real_capture():
     found = clouds(path)
     assert [len(cloud) for cloud in found] == [18790, 18701, 18678, 17317]
     assert describe(path).duration_s == pytest.approx(0.3875, abs=1e-3)
+    for cloud in found[:3]:
+        assert set(cloud.ring) == set(range(16)) and np.ptp(cloud.time_s) == pytest.approx(0.1, abs=0.005)
+        assert np.percentile(cloud.xyz[:, 2], 1) == pytest.approx(-0.37, abs=0.02), "the ground"
+        fullest = cloud.ring == np.bincount(cloud.ring).argmax()
+        x, y, _ = cloud.xyz[fullest][np.argsort(cloud.time_s[fullest])].T
+        clockwise = -np.diff(np.arctan2(y, x)) % math.tau
+        assert clockwise.sum() == pytest.approx(math.tau, abs=0.2), "once around"
 
 
 def test_turns_are_chosen(tmp_path):
