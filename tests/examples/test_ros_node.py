@@ -27,6 +27,7 @@ from lidar2pano.memory import Memory
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from miniature import street
+from poses import fields_of, somewhere
 from slow_definitions import place_slowly
 
 PACKAGE = ROOT / "examples" / "ros"
@@ -35,6 +36,7 @@ STAMP = SimpleNamespace(sec=12, nanosec=500)
 HEADER = SimpleNamespace(stamp=STAMP, frame_id="velodyne")
 K = np.array([[70.0, 0, 60], [0, 70, 18], [0, 0, 1]])
 AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+EYE = (0.4, -0.2, 0.3)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -263,17 +265,17 @@ def module(name: str, **content) -> ModuleType:
 
 
 def stand_in_tf() -> ModuleType:
-    """tf2_ros, that knows the frame of one camera."""
+    """tf2_ros, that knows the frame of one camera: of axes AXES, at EYE in the cloud's frame."""
 
     class Buffer:
         def lookup_transform(self, target, source, time, timeout):
             assert (source, time.sec, timeout.seconds) == ("velodyne", 12, 0.2)
             if target != "eye":
                 raise tf2.TransformException(f"no frame {target}")
-            rotation = SimpleNamespace(x=0.5, y=-0.5, z=0.5, w=-0.5)  # AXES
-            return SimpleNamespace(
-                transform=SimpleNamespace(translation=SimpleNamespace(x=0.0, y=0.0, z=0.0), rotation=rotation)
-            )
+            rotation = SimpleNamespace(x=0.5, y=-0.5, z=0.5, w=0.5)  # AXES
+            x, y, z = -AXES[:3, :3] @ EYE
+            translation = SimpleNamespace(x=x, y=y, z=z)
+            return SimpleNamespace(transform=SimpleNamespace(translation=translation, rotation=rotation))
 
     tf2 = module(
         "tf2_ros",
@@ -367,11 +369,12 @@ def test_the_node_takes_its_parameters(random_weights, monkeypatch):
     image, info = camera_messages()
     parameters = {"weights": str(random_weights), "device": "cpu", "engine": "torch", "look": "", "cameras": "/a/raw"}
     sent = [("/a/camera_info", info), ("/a/raw", image), ("points", cloud(street(0, 3000)))]
-    ros = Ros(monkeypatch, parameters, sent, {"panorama/image"})
+    ros = Ros(monkeypatch, parameters, sent, {"panorama/image", "panorama/camera_info"})
     assert part("node").main() == 0
     assert ros.types["/a/raw"] == "Image" and ros.types["/a/camera_info"] == "CameraInfo"
-    ((_, message, _),) = ros.published
+    (_, message, _), (_, info, _) = ros.published
     assert (array_of(message, channels=3) == (10, 200, 30)).all(axis=2).any(), ros.warnings
+    assert info.d[4:] == pytest.approx(EYE), "the panorama's origin is the camera's place"
 
 
 def test_the_node_publishes_taller_panoramas(random_weights, monkeypatch):
@@ -404,9 +407,12 @@ def test_a_parameter_of_no_use_is_one_line(random_weights, monkeypatch, capsys, 
 
 
 def test_a_quaternion_is_a_rotation():
-    rotation = SimpleNamespace(x=0.0, y=0.0, z=1.0, w=1.0)  # a quarter turn, not of unit length
-    T = part("node").matrix(SimpleNamespace(translation=SimpleNamespace(x=1.0, y=2.0, z=3.0), rotation=rotation))
-    np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)
+    """Not of unit length."""
+    x, y, z, *turn = fields_of(somewhere())
+    place = SimpleNamespace(x=x, y=y, z=z)
+    rotation = SimpleNamespace(**dict(zip("xyzw", np.multiply(turn, 1.5), strict=True)))
+    T = part("node").matrix(SimpleNamespace(translation=place, rotation=rotation))
+    np.testing.assert_allclose(T, somewhere(), atol=1e-9)
 
 
 def test_without_ros_it_is_one_line():
