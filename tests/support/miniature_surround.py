@@ -14,7 +14,6 @@ import numpy as np
 from PIL import Image
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.pandaset import CAMERAS
 
 HEIGHT, RADIUS = 2.0, 20.0  # metres: of the sensor above the ground; of the sphere around it
 SIZE, FOCAL = (480, 300), 300.0
@@ -24,7 +23,7 @@ CLASSES = {"5": "Vegetation", "7": "Road", "13": "Car", "41": "Building"}
 OURS = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 SENSOR = np.array([0.3, 0.8, 1.8])  # in PandaSet's frame
 FRONT = (0.047, 0.0, -0.053)  # PandaSet's front camera from its sensor, our axes
-LEFT = {  # of ahead, degrees
+LEFT = {  # of ahead, degrees; by the names of PandaSet's cameras
     "front_camera": 0.0, "front_left_camera": 60.0, "left_camera": 120.0, "back_camera": 180.0,
     "right_camera": -120.0, "front_right_camera": -60.0,
 }  # fmt: skip
@@ -60,8 +59,7 @@ def camera(left_deg: float, place: tuple[float, float, float], lean: float = 0.0
 def six() -> dict[str, Calibration]:
     """Cameras all around, each somewhere else; the first looks ahead."""
     found = {}
-    for number, name in enumerate(CAMERAS):
-        left = LEFT[name]
+    for number, (name, left) in enumerate(LEFT.items()):
         aside = (0.9 * math.cos(math.radians(left)), 0.7 * math.sin(math.radians(left)), 0.05 * number)
         found[name] = camera(left, aside if number else FRONT, lean=0.01 * number)
     return found
@@ -92,7 +90,7 @@ def sweep(rings: int = 64, columns: int = 1500) -> tuple[np.ndarray, np.ndarray]
 def write_pandaset(root: Path, frames: int = 1) -> Path:
     """The place as a PandaSet of `frames` frames, of which each stands 3 m further ahead in the data set's world."""
     folder = root / "sequences" / "002"
-    for part in ("velodyne", "labels_pandaset", "calib", *CAMERAS):
+    for part in ("velodyne", "labels_pandaset", "calib", *LEFT):
         (folder / part).mkdir(parents=True)
     (root / "classes.json").write_text(json.dumps(CLASSES))
     mounts, (points, ground) = six(), sweep()
@@ -131,7 +129,7 @@ def write_nuscenes(root: Path) -> Path:
     for name, calibration in six().items():
         file = f"{name}.jpg"
         Image.fromarray(camera_view(calibration)).save(root / file, quality=98, subsampling=0)
-        key = "CAM_FRONT" if name == CAMERAS[0] else "CAM_" + name.removesuffix("_camera").upper()
+        key = "CAM_FRONT" if name == "front_camera" else "CAM_" + name.removesuffix("_camera").upper()
         mount = (calibration.T_camera_lidar @ turn).tolist()
         images[key] = {"img_path": file, "cam2img": calibration.K.tolist(), "lidar2cam": mount}
     ego = np.eye(4)
