@@ -17,8 +17,8 @@ from PIL import Image
 
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.data.nuscenes import CLASSES
-from lidar2pano.geometry.motion import quaternion
 from miniature_surround import HEIGHT, OURS, camera, camera_view, distances, painting, six, sweep
+from poses import fields_of
 
 SCENES = {"scene-0061": 2, "scene-0103": 2}  # of mini_train and mini_val: numbers of samples
 ROAD, MANMADE, NOISE = 24, 28, 0  # lidarseg's ids
@@ -52,8 +52,8 @@ def nuscenes_pose(scene: int, sample: int) -> np.ndarray:
 
 def as_row(T: np.ndarray) -> dict[str, list[float]]:
     """A motion as nuScenes writes it: translation, and quaternion w x y z."""
-    x, y, z, w = quaternion(T[:3, :3]).tolist()
-    return {"translation": T[:3, 3].tolist(), "rotation": [w, x, y, z]}
+    *place, x, y, z, w = fields_of(T)
+    return {"translation": place, "rotation": [w, x, y, z]}
 
 
 class NuscenesTables:
