@@ -22,6 +22,8 @@ from miniature import CALIB, street
 from miniature_recordings import START_NS, STEP_NS, points, transform, write
 from poses import fields_of, pose_of
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 
 def pose(number: int) -> tuple[float, ...]:
     return (1.5 * number, 0.2 * number, 0.0, 0.0, 0.0, np.sin(0.05 * number), np.cos(0.05 * number))
