@@ -151,15 +151,21 @@ def test_convention_empty_pixels_are_zero_after_normalisation():
 
 
 def test_convention_what_is_out_of_view_is_gone():
-    assert project(scan_of((-10, 0, 0), (0, 10, 0), (0, -10, 0), (10, 0, 9), (10, 0, -9)), FRONT).valid.sum() == 0
+    points = ((-10, 0, 0), (0, 10, 0), (0, -10, 0), (10, 0, 9), (10, 0, -9), (0, 0, 5), (0, 0, -5))
+    image = project(scan_of(*points), FRONT)
+    assert not image.valid.any() and not image.inside.any() and image.dropped == 0
 
 
 def test_convention_the_nearest_point_owns_its_pixel():
-    assert project(scan_of((30, 0, 0), (10, 0, 0), (20, 0, 0)), SENSOR).index.max() == 1
+    far, near = (20, 0, 0), (10, 0, 0)
+    for points, owner in (((far, near, far), 1), ((near, far), 0)):
+        assert project(scan_of(*points), SENSOR).index.max() == owner
 
 
 def test_convention_at_equal_range_the_first_point_wins():
-    assert project(scan_of((30, 0, 0), (10, 0, 0), (10, 0, 0)), SENSOR).index.max() == 1
+    far, near = (20, 0, 0), (10, 0, 0)
+    for points, owner in (((far, near, near), 1), ((near,) * 5, 0)):
+        assert project(scan_of(*points), SENSOR).index.max() == owner
 
 
 def test_convention_point_zero_fills_its_pixel():
@@ -168,8 +174,12 @@ def test_convention_point_zero_fills_its_pixel():
 
 
 def test_convention_unusable_points_are_counted():
-    image = project(scan_of((10, 0, 0), (math.nan, 0, 0), (0, math.inf, 0), (0, 0, 0)), SENSOR)
-    assert image.dropped == 3 and image.valid.sum() == 1
+    nan, inf = math.nan, math.inf
+    scan = scan_of((10, 0, 0), (nan, 1, 0), (inf, 0, 0), (0, -inf, 0), (0, 0, 0), (3e38, 3e38, 0), (0, 10, 0))
+    image = project(scan, SENSOR)
+    assert image.dropped == 5 and image.usable.tolist() == [True, False, False, False, False, False, True]
+    assert image.valid.sum() == 2 and image.channels.isfinite().all()
+    assert image.range_m.tolist() == [10, 0, 0, 0, 0, 0, 10]
 
 
 def test_convention_points_keep_their_order():
