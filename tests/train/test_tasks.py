@@ -130,22 +130,20 @@ def test_the_painter_says_which_weights_it_needs(root):
         build_task(small("latent-painter-mini", "options.autoencoder=a"), root)
 
 
-@pytest.mark.parametrize(
-    ("name", "steps", "further"), [("salsanext-mini", 6, [PUBLISHED]), ("titan-pano-mini", 12, [])]
-)
-def test_the_loss_falls(root, name, steps, further):
+@pytest.mark.parametrize(("name", "further"), [("salsanext-mini", [PUBLISHED]), ("titan-pano-mini", [])])
+def test_the_loss_falls(root, name, further):
     task = build_task(small(name, *further), root)
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
     network = next(iter(task.networks.values()))
     optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
     losses = []
-    for _ in range(steps):
+    for _ in range(4):
         ((_, loss),) = task.updates(batch)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         losses.append(loss.item())
-    assert losses[-1] < 0.8 * losses[0]
+    assert 0 < losses[-1] < 0.9 * losses[0]
 
 
 def test_titan_net_moves_critic_and_translator_in_turn(root):
