@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances, relative_pose
+from lidar2pano.geometry.flow import ego_flow, ego_flows, moved_distances, relative_pose
 from lidar2pano.geometry.rasters import adjacent_rows, likeliest, warp
 from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.scene.record import Scene
@@ -19,7 +19,6 @@ from lidar2pano.views import View
 MOST = 6  # scans or images that a mean is taken of; larger flickers less, adapts slower
 LEAST_IMAGES = 3  # images that the previous ones count for at least: the mean of two is paler than either
 DOUBT = 0.5  # scans that are subtracted from a count for each scan that contradicts it
-MOST_RATIO = 2.0  # of depths of one surface in two scans, as they are averaged
 SKY = COMMON15.id_of("sky")
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
 THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # whose fading stands out
@@ -132,30 +131,23 @@ def steady(memory: Memory, image: Tensor, view: View) -> tuple[Memory, Tensor]:
 def fused(now: Surroundings, previous: Surroundings, view: View) -> Surroundings:
     """`now` averaged with the scans before it, moved to where the same surfaces are now.
 
-    What is painted of it wavers less: invented windows and paint hang on depths, which the translator predicts for each
-    scan again. Where `ego_flow` knows the flow, probabilities are averaged, and so are the logarithms of depths, each
-    changed as the sensor's motion has changed it; elsewhere the mean starts again. The newest scan counts for a share
-    of 1 / `MOST` or more. Where this scan's depth contradicts those before and was not measured, crowns and roofs above
-    the scan would come and go: what was there before stays, at its depth, until the mean of the probabilities is for
-    another class, or `DOUBT` has used up its count. What may move does not stay.
+    Where `ego_flow` knows the flow, probabilities are averaged; elsewhere the mean starts again. The newest scan counts
+    for a share of 1 / `MOST` or more, and depths are its own: means of depths were less exact, and flickered more
+    (RESULTS.md). Where its depth contradicts those before and was not measured, crowns and roofs above the scan would
+    come and go: what was there before stays, at its depth, until the mean of the probabilities is for another class, or
+    `DOUBT` has used up its count. What may move does not stay.
     view  the raster of both.
     """
     T_before_now = relative_pose(previous.T_world_sensor, now.T_world_sensor)
-    distance_m, distance_before_m = now.parallax_distance_m, previous.parallax_distance_m
-    flow = ego_flow(distance_m, distance_before_m, T_before_now, view, same=SAME)
+    distance_before_m = previous.parallax_distance_m
+    flow = ego_flow(now.parallax_distance_m, distance_before_m, T_before_now, view, same=SAME)
     moved_m = moved_distances(distance_before_m, torch.linalg.inv(T_before_now), view)
     stays = ego_flow(moved_m, distance_before_m, T_before_now, view, same=SAME)
     contradicted = stays.known & ~flow.known & ~now.supported
     shift = torch.where(contradicted, stays.shift, flow.shift)
-    inverse_before = torch.where(distance_before_m.isinf(), 0.0, 1 / previous.depth_m)
-    parts = [
-        previous.probabilities,
-        previous.count[None, None],
-        inverse_before[None],
-        previous.surface_share[None, None],
-    ]
+    parts = [previous.probabilities, previous.count[None, None], previous.surface_share[None, None]]
     past = warp(torch.cat(parts, 1), shift[None], circular=True)
-    probabilities, count, inverse, surface = past.split((now.probabilities.shape[1], 1, 1, 1), 1)
+    probabilities, count, surface = past.split((now.probabilities.shape[1], 1, 1), 1)
     ids = likeliest(probabilities)[0]
     count = count[0, 0].clamp(max=MOST - 1)
     contradicted &= ~may_move(ids) & (count > DOUBT)
@@ -163,11 +155,9 @@ def fused(now: Surroundings, previous: Surroundings, view: View) -> Surroundings
     weight = count / (count + 1)
     mean = torch.lerp(now.probabilities, probabilities, weight)
     stay = contradicted & (likeliest(mean)[0] == ids)
-    ratio = 1 / (inverse[0, 0] * distances_before(now.depth_m[0], T_before_now, view))
-    ratio = torch.where(flow.known & distance_m.isfinite(), ratio.clamp(1 / MOST_RATIO, MOST_RATIO), 1.0)
     return now._replace(
         probabilities=mean,
-        depth_m=torch.where(stay & moved_m.isfinite(), moved_m * surface[0, 0], now.depth_m * ratio.pow(weight)),
+        depth_m=torch.where(stay & moved_m.isfinite(), moved_m * surface[0, 0], now.depth_m),
         count=torch.where(stay, count - DOUBT, torch.where(flow.known, count + 1, 1.0)),
     )
 

@@ -100,14 +100,6 @@ def ego_flows(
     return [Flow(shift=shift * known, known=known) for known in all_known]
 
 
-def distances_before(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> Tensor:
-    """How far what each pixel shows was in the previous frame, (H, W) float32 metres; arguments as of `ego_flow`.
-
-    Infinite for the sky.
-    """
-    return _ends(now_m, T_before_now, raster)[0].norm(dim=-1).float().where(now_m.isfinite(), torch.inf)
-
-
 def moved_distances(before_m: Tensor, T_now_before: Tensor, view: View) -> Tensor:
     """Distances (H, W) float32 of the previous frame as they are now, metres; infinite for the sky, 0 where none is.
 
