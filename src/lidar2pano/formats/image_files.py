@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 from PIL import Image
 
-from lidar2pano.bounded_files import open_regular
+from lidar2pano.bounded_files import open_regular, read_bytes
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
 from lidar2pano.views import FULL_TURN, View
@@ -61,7 +61,7 @@ def _machine() -> str:
     """
     digest = hashlib.sha256()
     with suppress(OSError):  # not on Linux
-        digest.update(Path("/proc/sys/kernel/random/boot_id").read_bytes())
+        digest.update(read_bytes("/proc/sys/kernel/random/boot_id", 64))
         digest.update(bytes(Path("/proc/self/ns/pid").readlink()))
     return f"{platform.node()[:64]}-{digest.hexdigest()[:12]}"
 
