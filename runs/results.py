@@ -98,6 +98,7 @@ TEXTS = {
     "unseen": "Streets of KITTI, of which `world` has seen none",
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",
+    "memory": "Numbers of the memory of streams (memory.py), each changed alone, on a simulated drive",
     "evidence": "Evidence beside the translator's classes",
     "times": "Times",
 }

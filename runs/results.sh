@@ -6,11 +6,12 @@
 #   FOLDS=   families of the last stage that have not seen a place: FOLDS/without-pandaset and FOLDS/without-k09, and
 #            FOLDS/before, which neither had taught; MORE=: folder of the places k04 and k09
 # Without a STEP all run in turn; each writes one file in docs/results:
-#   make-towns  simulate TOWNS and TOWNS-tall, unless they are there
+#   make-towns  simulate TOWNS, TOWNS-tall and TOWNS-drive, unless they are there
 #   val labelled towns tall pandaset nuscenes   scores, as CSV
 #   folds                                  classes on a street that a run has not seen
 #   unseen                                 classes of `world` on two such streets
 #   beams remission                        scores with fewer beams and without remission
+#   memory                                 what each number of the memory of streams is worth, on TOWNS-drive
 #   times                                  milliseconds on this machine
 #   page        RESULTS.md and the scores of cards from these files; costs nothing
 set -euo pipefail
@@ -33,6 +34,7 @@ step() {
       [ -d "$towns" ] || lidar2pano world "$towns" --sequences 5 --frames 4 --hz 10 --seed 909
       [ -d "$towns-tall" ] || lidar2pano world "$towns-tall" --sensor os1-128 --place centre --sequences 6 --frames 1 \
         --seed 71501 --view panorama-tall/2
+      [ -d "$towns-drive" ] || lidar2pano world "$towns-drive" --sequences 2 --frames 10 --hz 10 --seed 3131
       ;;
     val) scores val streets world --data "$kitti" --split val ;;
     labelled) scores labelled world --data "$kitti" --split labelled --metrics points ;;
@@ -48,11 +50,12 @@ step() {
     nuscenes) scores nuscenes streets world --data "$nuscenes" --split all ;;
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
+    memory) text memory python "$(dirname "$0")/steady_ablation.py" "$towns-drive" streets world ;;
     times) idle && text times lidar2pano bench --weights streets --runs 9 ;;
     page) python "$(dirname "$0")/results.py" && python "$(dirname "$0")/card_scores.py" ;;
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
 }
-for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds unseen beams remission times page}"; do
+for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds unseen beams remission memory times page}"; do
   for name in $each; do step "$name"; done
 done
