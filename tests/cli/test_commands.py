@@ -166,6 +166,18 @@ def test_a_bad_scan_does_not_stop_the_others(here, translate):
     assert [line.split(": ")[:2] for line in said] == [["lidar2pano", "missing"], ["lidar2pano", "in/b.bin"]]
 
 
+def test_replaced_panoramas_of_another_command_are_said_once(here, translate):
+    for folder in "xy":
+        for stem in ("000000", "000001"):
+            write_scan(here / folder / f"{stem}.bin")
+    assert "replaced" not in translate("x")[2], "nothing was there"
+    (here / "panoramas" / "000001.png").unlink()
+    code, _, err = translate("y")
+    assert code == 0 and err.count("replaced") == 1
+    assert "panoramas/000000.png: was there and is replaced, as are others of equal names; to keep" in err
+    assert "replaced" not in translate("y", "--out", "other")[2]
+
+
 def test_one_stem_in_two_folders_is_two_files(here, translate):
     for sequence in ("00", "01"):
         write_scan(here / "sequences" / sequence / "velodyne" / "000000.bin")

@@ -185,7 +185,7 @@ def translate_followed(paths: Sequence[Path], options: Options) -> int:
 
 def translate_readings(readings: Iterable[Reading], total: int, options: Options) -> bool:
     """Translate scans one after the other and print a record of each; return whether one failed."""
-    translator, reporter = Translator(options.pipeline), ErrorReporter(options.note)
+    translator, reporter = Translator(options.pipeline), ErrorReporter(options.note, options.out)
     with options.common.opened(options.weights) as common, bar(total, "translating") as advance:
 
         def sink(translation: Translation) -> list[Path]:
@@ -198,6 +198,7 @@ def translate_readings(readings: Iterable[Reading], total: int, options: Options
             if translation.error:
                 reporter.add(translation)
             else:
+                reporter.note_replaced(translation.outputs)
                 line = record(translation, options, translator.pipeline.engine)
                 print(json.dumps(line) if options.as_json else summary(line), flush=True)
             advance()
@@ -279,10 +280,12 @@ class ErrorReporter:
     """Reports on stderr: bad files one line each at once, bad scans of a recording one line together at its end.
 
     note  is printed with the first success, "" for none: a mistake is one line alone.
+    out   folder of the outputs.
     """
 
-    def __init__(self, note: str) -> None:
+    def __init__(self, note: str, out: Path) -> None:
         self.failed, self._note = False, note
+        self._earlier_files = set(out.glob("*"))
         self._licence_noted = False
         self._warnings: set[tuple[Any, str]] = set()  # stream, text
         self._recording: Path | None = None
@@ -315,6 +318,15 @@ class ErrorReporter:
         if not self._licence_noted:
             print_weights(self._note, pipeline.cards.values())
         self._licence_noted = True
+
+    def note_replaced(self, outputs: Iterable[Path]) -> None:
+        """Say once if an output has replaced an earlier command's, be it of the same scan or of another."""
+        if replaced := sorted(self._earlier_files.intersection(outputs)):
+            self._earlier_files.clear()
+            print_note(
+                f"{replaced[0]}: was there and is replaced, as are others of equal names; to keep them name another"
+                " --out"
+            )
 
     def flush(self) -> None:
         """Report the held-back errors of a recording."""
