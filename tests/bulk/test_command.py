@@ -44,6 +44,17 @@ def test_the_bytes_are_those_of_translate(drive, random_weights, capsys):
     assert settings["save"] == ["rgb", "segments", "labels", "depth"] and len(settings["sha256"]["painter"]) == 64
 
 
+def test_files_that_may_be_scans_are_said(drive, random_weights, capsys):
+    shutil.copy(drive / "drive/one/a.bin", drive / "drive/one/b.velo")
+    options = ["--weights", str(random_weights), "--device", "cpu"]
+    assert main(["bulk", "drive", "--out", "bulk", *options]) == 0
+    assert main(["translate", "drive/one", "--out", "single", *options]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
+    assert len(said) == 2 and all(
+        "may be scans are left out (1 .velo); `translate` takes them" in line for line in said
+    )
+
+
 def test_given_labels_do_what_the_segmenters_do(random_weights):
     pipeline, scan = load(random_weights, "cpu"), street()
     _, own = pipeline.step(Memory(), scan)

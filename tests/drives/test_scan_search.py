@@ -9,7 +9,7 @@ import pytest
 
 from lidar2pano.bulk import Shard, entries
 from lidar2pano.bulk.stores import open_store
-from lidar2pano.drives.folders import drive_files, find_sources
+from lidar2pano.drives.folders import drive_files, find_sources, left_out
 from lidar2pano.drives.reading import scans
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ENDINGS, ReadOptions
@@ -92,6 +92,35 @@ def test_a_folder_of_text_only(tmp_path):
     put(tmp_path, "a.csv", b"x,y,z\n1,2,3\n")
     assert [path.name for path in scan_files(tmp_path)] == ["a.csv", "b.xyz"]
     assert [scan.xyz.tolist() for scan in scans(tmp_path)] == [[[1, 2, 3]]] * 2
+
+
+def test_files_that_may_be_scans_are_counted(tmp_path):
+    for name in ("a.bin", "b.velo", "b2.velo", "c", "f.BIN", "d/1.bin", "d/2.velo", "e/3.velo"):
+        put(tmp_path, name)
+        write_bin(tmp_path / name, street(0, 200))
+    put(tmp_path, "e.xyz", b"1 2 3\n4 5 6\n")
+    for name in ("times.txt", "poses.txt", "gps.csv"):
+        put(tmp_path, name, b"1 2 3\n4 5 6\n")
+    for name, content in {
+        "a.png": b"\x89PNG\r\n",
+        "a.json": b"{}",
+        "a.label": bytes(400),
+        "calib.txt": b"P2: 1 2\n",
+    }.items():
+        put(tmp_path, name, content)
+    put(tmp_path, "notes.md", b"# Notes\nread me\n")
+    said = "files that may be scans are left out ({}); `translate` takes them by name"
+    names = [path.name for path in scan_files(tmp_path)]
+    assert names == ["a.bin", "f.BIN"]
+    assert left_out(tmp_path, names).endswith(said.format("2 .velo, 1 .xyz, 1 without ending"))
+    assert left_out(tmp_path, names[:1]).endswith(said.format("2 .velo, 1 .xyz, 1 without ending")), "as by --every"
+    assert left_out(tmp_path, below(tmp_path)).endswith(said.format("3 .velo, 1 .xyz, 1 without ending"))
+
+
+def test_tables_alone_leave_no_table_out(tmp_path):
+    for name in ("a.csv", "b.xyz", "c.xyz"):
+        put(tmp_path, name, b"1 2 3\n4 5 6\n")
+    assert left_out(tmp_path, ["a.csv", "b.xyz"]) == ""
 
 
 # --- data sets and trees ----------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
 from lidar2pano.cli.console import bar, print_error, print_note, print_weights, spooled, until_signal
 from lidar2pano.cli.options import check_file
-from lidar2pano.drives.folders import drive_files, output_stems
+from lidar2pano.drives.folders import drive_files, left_out, output_stems
 from lidar2pano.drives.reading import (
     Reading,
     ReadingOptions,
@@ -133,8 +133,11 @@ def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], b
     failed = False
     for path in sort_listed(list(paths)):
         try:
-            for file in drive_files(path, options.reading.selection):
+            chosen = drive_files(path, options.reading.selection)
+            for file in chosen:
                 files.setdefault(file.resolve(), file)
+            if chosen != [path] and (note := left_out(path, (file.relative_to(path).as_posix() for file in chosen))):
+                print_note(note)
         except InputError as error:
             print_error(error)
             failed = True

@@ -136,11 +136,14 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     only  name of the single recording to translate; "": all below the job's source.
     """
     from lidar2pano.bulk import Manifest, entries, start, translate_all
-    from lidar2pano.bulk.stores import open_store
+    from lidar2pano.bulk.stores import Folder, open_store
+    from lidar2pano.drives.folders import left_out
     from lidar2pano.models.card import read_card
 
     store = open_store(job.source)
     listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
+    if isinstance(store, Folder) and not only and (note := left_out(store.root, {entry.key.input for entry in listed})):
+        print_note(note)
     painted = {"look": options.look, "quality": options.quality, "seed": options.seed}
     painted["elevation"] = options.elevation or None  # no entry in runs of before
     settings = painted | {"engine": options.engine, "format": options.image_format}

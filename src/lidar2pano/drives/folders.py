@@ -18,7 +18,7 @@ from lidar2pano.formats.delimited_text import is_table
 from lidar2pano.formats.file_contents import PACKED, head_of, stem_of
 from lidar2pano.formats.foreign_files import DOWNLOAD, OTHER, foreign_kind
 from lidar2pano.formats.json_files import read_json
-from lidar2pano.formats.readers import ENDINGS, TEXT_ENDINGS, ReadOptions
+from lidar2pano.formats.readers import ENDINGS, READERS, TEXT_ENDINGS, ReadOptions
 from lidar2pano.name_order import sort_names
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.recordings.recorded_scans import METADATA, none_within
@@ -37,6 +37,8 @@ DATA_SETS = ("velodyne", "velodyne_points/data", "velodyne/[0-9]*", "LIDAR_*", "
 RADAR = re.compile(rb"(?im)^(?:FIELDS|COLUMNS) .*\b(?:rcs|dyn_prop|vx_comp|range_rate)\b")
 MOST_NAMES = 1 << 20  # looked through below a folder without scans of its own
 TABLES = (".feather", ".parquet", *TEXT_ENDINGS)  # which hold poses and boxes as well
+# Names of tables beside scans, without points
+NO_POINTS = re.compile(r"(?i)pose|traj|calib|time|odom|gps|gnss|imu|oxts|label")
 MOST_NAMED = 3  # folders in a message
 Head = Callable[[str], bytes]
 
@@ -265,6 +267,36 @@ def find_scans(root: Path) -> list[Source]:
     if own:
         return own
     raise InputError(f"{root}: holds no scan itself; {_counts(below)}; name a folder, or take all with `bulk`")
+
+
+def left_out(root: Path, names: Iterable[str]) -> str:
+    """Return a note on files that may be scans beside the scan files and recordings of these names; "" for none.
+
+    The first file of each ending in a folder stands for the others. Tables of text count beside other scans only.
+    """
+    names = set(names)
+    folders = {name.rpartition("/")[0] for name in names}
+    others = {name.rpartition("/")[0] for name in names if _ending(name) not in TEXT_ENDINGS}
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in names_below(root, deep=folders != {""}):
+        (folder, _, file), ending = name.rpartition("/"), _ending(name)
+        known = ending in ENDINGS or ending in RECORDINGS or (ending in TEXT_ENDINGS and folder not in others)
+        if folder in folders and name not in names and not known and not file.startswith("."):
+            groups.setdefault((folder, ending), []).append(name)
+    counts = Counter[str]()
+    for (_, ending), group in groups.items():
+        if _may_be_scan(root, min(group)):
+            counts[ending or "without ending"] += len(group)
+    listed = ", ".join(f"{count} {ending}" for ending, count in sorted(counts.items()))
+    return f"{root}: files that may be scans are left out ({listed}); `translate` takes them by name" if listed else ""
+
+
+def _may_be_scan(root: Path, name: str) -> bool:
+    head, path = head_below(root, name), root / name
+    if not head or foreign_kind(head, path):
+        return False
+    binary = any(reader.accepts(head, path) for reader in READERS if reader.name != "text")
+    return binary or (is_table(head) and not NO_POINTS.search(path.name))
 
 
 def _held_instead(root: Path) -> InputError:
