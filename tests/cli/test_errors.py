@@ -110,6 +110,8 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
         ),
         ("--elevation -61,0", "elevation '-61,0': is neither auto nor LOW,HIGH in degrees; name two numbers, -60 <= "),
         ("--elevation up", "elevation 'up': is neither auto nor LOW,HIGH in degrees; name two numbers, -60 <= LOW < "),
+        ("--seed -1", "Invalid value for '--seed'"),
+        ("--seed 9223372036854775808", "Invalid value for '--seed'"),
         ("--weights other", "no weights 'other': neither a released family nor a file"),
         ("--device gpu", "no device 'gpu'; there is auto, cpu and cuda"),
         ("--out file", "file: cannot be written (file is not a folder); choose another --out"),

@@ -307,6 +307,10 @@ def test_settings_that_make_no_sense_are_refused():
         build("latent-painter", **SMALL, steps=0)
     with pytest.raises(InputError, match="knows no look 'dusk'"):
         painter().look_shares("dusk")
+    for seed in (-1, 1 << 63):
+        with pytest.raises(InputError, match=f"seed {seed}: is not between 0 and 9223372036854775807"):
+            painter().variant("fast", seed)
+    assert painter().variant("fast", (1 << 63) - 1)
 
 
 def test_what_cameras_show_is_known_but_for_the_cells_at_its_edge():

@@ -26,7 +26,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder, encode_columns
 from lidar2pano.models.blocks import CircularConv, check_size
 from lidar2pano.models.stream_painter import QUALITIES
-from lidar2pano.models.world_noise import Particles, world_noise
+from lidar2pano.models.world_noise import SEEDS, Particles, world_noise
 from lidar2pano.scene.depth import FAR_M, depth_code
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import normals, slopes
@@ -343,7 +343,12 @@ class LatentPainter(nn.Module):
         self.decoder = LatentDecoder(latents, autoencoder[1])
 
     def variant(self, quality: str, seed: int) -> Self:
-        """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture."""
+        """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture.
+
+        Raises InputError for a seed that is not of SEEDS.
+        """
+        if seed not in SEEDS:
+            raise InputError(f"seed {seed}: is not between 0 and {SEEDS[-1]}; name another")
         painter = copy.copy(self)
         painter.steps, painter.seed = QUALITIES[quality] or self.steps, seed
         return painter
