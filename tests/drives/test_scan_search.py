@@ -94,6 +94,17 @@ def test_a_folder_of_text_only(tmp_path):
     assert [scan.xyz.tolist() for scan in scans(tmp_path)] == [[[1, 2, 3]]] * 2
 
 
+def test_a_topic_needs_a_recording(tmp_path):
+    tree(tmp_path, "a.bin")
+    topic, says = ReadOptions(topic="/points"), "holds no recording; leave out --topic /points"
+    assert says in complaint(lambda: drive_files(tmp_path, topic))
+    assert says in complaint(lambda: entries(open_store(tmp_path), Shard(), selection=topic))
+    assert "is a single scan" in complaint(lambda: list(scans(tmp_path / "a.bin", end_s=3)))
+    assert "ends before it begins" in complaint(lambda: list(scans(tmp_path, start_s=5, end_s=2)))
+    put(tmp_path, "b.bag", b"#ROSBAG V2.0\n")
+    assert len(drive_files(tmp_path, topic)) == 2
+
+
 def test_files_that_may_be_scans_are_counted(tmp_path):
     for name in ("a.bin", "b.velo", "b2.velo", "c", "f.BIN", "d/1.bin", "d/2.velo", "e/3.velo"):
         put(tmp_path, name)

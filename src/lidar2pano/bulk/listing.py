@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 
 from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
-from lidar2pano.drives.folders import STORAGE, Source, clashing, find_sources, no_scan, select_files
+from lidar2pano.drives.folders import STORAGE, Source, check_topic, clashing, find_sources, no_scan, select_files
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions
@@ -33,13 +33,15 @@ def entries(
     labels     whether the scans' own labels are needed; in a data set's layout, labels and calibration are looked for.
     selection  which scans of each recording and folder.
     only       name of the recording whose scans are meant; "": all scans.
-    Raises InputError when there is no scan at all, or two would have the same outputs. An unreadable recording
+    Raises InputError when there is no scan at all, or a topic and no recording, or two scans would have the same outputs. An unreadable recording
     is an entry with an error.
     """
     listed: list[Entry] = []
     total, place_of = 0, dict[str, str]()
     head = store.head if isinstance(store, Folder) else None
     sources = [Source(only, True)] if only else find_sources(store.names(), head)
+    if sources:
+        check_topic(store.place, sources, selection)
     by_folder: dict[str, list[Source]] = {}
     for source in sources:
         by_folder.setdefault(source.folder, []).append(source)

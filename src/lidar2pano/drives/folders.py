@@ -6,6 +6,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from itertools import groupby, islice
@@ -21,7 +22,7 @@ from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.readers import ENDINGS, READERS, TEXT_ENDINGS, ReadOptions
 from lidar2pano.name_order import sort_names
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
-from lidar2pano.recordings.recorded_scans import METADATA, none_within
+from lidar2pano.recordings.recorded_scans import METADATA, none_within, recording_reader
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name, a time since the epoch -> its unit
@@ -46,15 +47,26 @@ Head = Callable[[str], bytes]
 def drive_files(path: Path, options: ReadOptions) -> list[Path]:
     """Return the scan files and recordings of a path: itself, or the selected ones of each folder, by name.
 
-    Raises InputError as `check_file` and `find_scans`, and for --from or --to with scans of unknown times.
+    Raises InputError as `check_file` and `find_scans`, for --from or --to with scans of unknown times or a single scan,
+    and for --topic without a recording.
     """
     if not path.is_dir():
+        if replace(options, every=1) != ReadOptions() and recording_reader(check_file(path)) is None:
+            raise InputError(f"{path}: is a single scan; leave out --topic, --from and --to")
         return [check_file(path)]
     files: list[Path] = []
-    for (_, recording), group in groupby(find_scans(path), lambda source: (source.folder, source.recording)):
+    sources = find_scans(path)
+    check_topic(path, sources, options)
+    for (_, recording), group in groupby(sources, lambda source: (source.folder, source.recording)):
         paths = [path / source.name for source in group]
         files += paths if recording else select_files(paths, options)
     return files
+
+
+def check_topic(place: object, sources: Iterable[Source], options: ReadOptions) -> None:
+    """Raise InputError for --topic where no recording has topics."""
+    if options.topic and not any(source.recording for source in sources):
+        raise InputError(f"{place}: holds no recording; leave out --topic {options.topic}")
 
 
 def select_files(files: Sequence[Path], options: ReadOptions) -> list[Path]:

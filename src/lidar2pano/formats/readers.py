@@ -35,6 +35,11 @@ class ReadOptions:
     start_s: float | None = None
     end_s: float | None = None
 
+    def __post_init__(self) -> None:
+        """Raise InputError for an end that is not behind the start."""
+        if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
+            raise InputError(f"--from {self.start_s:g} --to {self.end_s:g}: ends before it begins; name a later --to")
+
 
 @dataclass(frozen=True)
 class Reader:
