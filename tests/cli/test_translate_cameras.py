@@ -43,6 +43,7 @@ def test_failing_cameras_are_one_line_each_and_the_rest_goes_on(tmp_path, transl
     ("arguments", "says"),
     [
         (["--camera", "a.jpg:b.yaml"], "--camera 'a.jpg:b.yaml'"),
+        (["--camera", "a.jpg"], "--camera a.jpg: has no calibration; name its calibration behind a colon, IMAGE:CALIB"),
         (["--cameras", ","], "--cameras ',': is auto, none or topics of a recording"),
         (["--mask", "m.png"], "--mask m.png: is missing"),
         (["--mask", "m.png", "--cameras", "none"], "there is no camera"),
@@ -67,3 +68,26 @@ def test_strict_makes_a_doubtful_camera_an_error(translate, tmp_path):
     code, _, err = translate(scan, "--out", tmp_path / "strict", "--camera", camera, "--strict")
     assert code == 2 and "its image is black; clean or mend it (an error because of --strict)" in err
     assert err.count("its image is black") == 1 and not (tmp_path / "strict").exists()
+
+
+def test_a_named_camera_that_cannot_be_read_is_a_mistake(translate, tmp_path):
+    scan, images = write_scan(tmp_path / "a.bin"), tmp_path / "images"
+    images.mkdir()
+    (tmp_path / "calib.json").write_text('{"K": [50, 0, 32, 0, 50, 24, 0, 0, 1]}')
+
+    def complaint(image):
+        code, _, err = translate(scan, "--out", tmp_path / "out", "--camera", f"{image}:{tmp_path / 'calib.json'}")
+        assert code == 2 and len(err.splitlines()) == 1 and not (tmp_path / "out").exists()
+        return err
+
+    assert f"{images}: holds no image" in complaint(images)
+    Image.new("RGB", (64, 48), "red").save(images / "b.png")
+    (images / "a.png").write_bytes(b"?")
+    assert "calib.json: has no pose of the camera" in complaint(images)
+    assert "calib.json: has no pose of the camera" in complaint(images / "b.png")
+    assert "a.png: is no readable image" in complaint(images / "a.png")
+    (tmp_path / "calib.json").write_text(
+        json.dumps({"K": [50, 0, 32, 0, 50, 24, 0, 0, 1], "T_camera_lidar": np.eye(4).tolist()})
+    )
+    code, _, err = translate(scan, "--out", tmp_path / "out", "--camera", f"{images}:{tmp_path / 'calib.json'}")
+    assert code == 0 and "is left out" in err and "a.png: is no readable image" in err, "of this scan alone"

@@ -223,6 +223,11 @@ def parse_cameras(named: list[str], word: str, masks: list[Path], viewpoint: boo
     if missing := next((mask for mask in masks if not mask.is_file()), None):
         raise InputError(f"--mask {missing}: is missing; name an image")
     cameras = tuple(parse_camera(text) for text in named)
+    if cameras:
+        from lidar2pano.drives.cameras import check_named
+
+        for camera in cameras:
+            check_named(camera)
     options = CameraOptions(named=cameras, topics=topics, masks=tuple(masks), viewpoint=viewpoint)
     return options if cameras or word != "none" else None
 

@@ -58,6 +58,8 @@ def may_have_cameras(scan_file: Path) -> bool:
 def parse_camera(text: str) -> NamedCamera:
     """Return the camera of "IMAGE:CALIB" or "IMAGE:CALIB:POSE"; InputError unless all are files or folders."""
     words = text.split(":")
+    if len(words) < len(NamedCamera._fields) - 1:
+        raise InputError(f"--camera {text}: has no calibration; name its calibration behind a colon, IMAGE:CALIB")
     for count in (2, 3):
         for parts in _groupings(words, count):
             if all(part and Path(part).exists() for part in parts):

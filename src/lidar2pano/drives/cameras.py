@@ -27,6 +27,7 @@ from lidar2pano.recordings.recorded_images import RecordedImage
 from lidar2pano.views import VIEWS
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp")
+MOST_TRIED = 8  # images of a folder, some of which may be damaged
 STAMP = re.compile(r"(?:^|\D)(\d{16}|\d{18,19})$")  # at the end of a file's stem
 
 
@@ -167,6 +168,22 @@ def _read_named(camera: NamedCamera, scan_file: Path, stem: str) -> Camera:
 
 def _read(scan_file: Path, image: Path, calibration: Calibration | LensCalibration) -> Camera:
     return Camera(read_image(image, "RGB"), calibration, time_s=seconds_after(scan_file, image))
+
+
+def check_named(camera: NamedCamera) -> None:
+    """Read a named camera's calibration, for one of the first images of a folder; InputError if that is impossible."""
+    images = [camera.image]
+    if camera.image.is_dir():
+        images = sorted(path for path in camera.image.iterdir() if path.suffix.lower() in IMAGES)[:MOST_TRIED]
+    error = InputError(f"{camera.image}: holds no image ({', '.join(IMAGES)}); name another folder")
+    for image in images:
+        try:
+            read_camera_calibration(camera.calibration, image, image_size(image), camera.pose)
+        except InputError as fault:
+            error = fault
+        else:
+            return
+    raise error
 
 
 def images_of(folder: Path, stem: str) -> Iterator[Path]:
