@@ -33,8 +33,8 @@ def entries(
     labels     whether the scans' own labels are needed; in a data set's layout, labels and calibration are looked for.
     selection  which scans of each recording and folder.
     only       name of the recording whose scans are meant; "": all scans.
-    Raises InputError when there is no scan at all, or a topic and no recording, or two scans would have the same outputs. An unreadable recording
-    is an entry with an error.
+    Raises InputError when there is no scan at all, for a topic without a recording, and when two scans would have the
+    same outputs. An unreadable recording is an entry with an error.
     """
     listed: list[Entry] = []
     total, place_of = 0, dict[str, str]()
