@@ -81,7 +81,7 @@ def test_flags_and_lists_of_translate(tmp_path, monkeypatch, random_weights, cap
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("every: 2\nevrey: 3", "has no 'evrey'; did you mean 'every'?; there is annotations, at, calib, camera"),
+        ("every: 2\nevrey: 3", "has no 'evrey'; did you mean 'every'?"),
         ("qqqq: 3", "has no 'qqqq'; there is annotations, at, calib, camera"),
         ("config: c.yaml", "has no 'config'"),
         ("- every", "holds no options"),
@@ -105,7 +105,7 @@ def test_bad_files_are_one_line(tmp_path, monkeypatch, capsys, text, said):
     (tmp_path / "c.yaml").write_text(text)
     assert main(["translate", "a.bin", "--config", "c.yaml"]) == 2
     err = capsys.readouterr().err
-    assert said in err and err.count("\n") == 1, err
+    assert said in err and err.count("\n") == 1 and "?; there is" not in err, err
 
 
 def test_a_missing_file_and_a_folder(tmp_path, capsys):

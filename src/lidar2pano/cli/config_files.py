@@ -53,9 +53,7 @@ def set_defaults(context: typer.Context, config: Path | None) -> None:
     for key, value in _read(config).items():
         name = str(key).replace("_", "-").removeprefix("--")
         if name not in parameters:
-            near = closest(name, parameters)
-            names = near if near.startswith("; there is") else f"{near}; there is {', '.join(sorted(parameters))}"
-            raise InputError(f"{config}: {context.command.name} has no {key!r}{names}")
+            raise InputError(f"{config}: {context.command.name} has no {key!r}{closest(name, parameters)}")
         parameter = parameters[name]
         converted = _converted(value, parameter, f"{config}: {key}")
         if name == "set":
