@@ -276,7 +276,13 @@ class Pipeline:
             image = self._checked(scan, self.segmenter.project(scan, self.device))
             returns_m = nearest_ranges(scan, self.view.scaled(2), device=self.device)
             dense, image, source = self._densified(scan, image)
-            channels = self._checked(dense, project(dense, self.view, device=self.device))
+            channels = project(dense, self.view, device=self.device)
+            if not bool(channels.valid.any()):
+                low, high = (math.degrees(math.atan(end)) for end in (self.view.down, self.view.up))
+                raise InputError(
+                    f"{scan.name}: no point lies between {low:.1f} and {high:.1f} degrees; widen --elevation, or turn"
+                    " the scan (x must point forward, z up)"
+                )
             translator_image = self._translator_image(dense, channels)
         if labels is None:
             ids = self.segmenter.label(image, timer)
