@@ -147,7 +147,9 @@ def test_a_folder_of_recordings_and_scans(tmp_path, translate):
     write(tmp_path / "in", "bag", [*sent()][:2], stem="a")
     write(tmp_path / "in", "mcap", [*sent()][:2], stem="b")
     write_bin(tmp_path / "in" / "c.bin", scan(0))
-    assert translate(tmp_path / "in", "--out", tmp_path / "o")[0] == 0
+    code, out, _ = translate(tmp_path / "in", "--out", tmp_path / "o")
+    assert code == 0 and f"{tmp_path / 'in' / 'a.bag'}, scan 0: 4000 points;" in out
+    assert f"{tmp_path / 'in' / 'c.bin'}: 4000 points;" in out
     assert sorted(path.name for path in (tmp_path / "o").iterdir()) == ["a-000000.png", "b-000000.png", "c.png"]
 
 

@@ -270,10 +270,11 @@ def summary(record: Mapping[str, Any]) -> str:
     """Return one scan's record as text."""
     stages = record["milliseconds"]
     times = ", ".join(f"{stage.replace('_', ' ')} {value:.0f}" for stage, value in stages.items())
+    place = f", scan {record['scan']}" if "scan" in record else ""
     dropped = f", {record['dropped']} of them unusable" if record["dropped"] else ""
     return "\n".join(
         [
-            f"{record['input']}: {record['points']} points{dropped}; {sum(stages.values()):.0f} ms ({times})",
+            f"{record['input']}{place}: {record['points']} points{dropped}; {sum(stages.values()):.0f} ms ({times})",
             *(f"  {path}" for path in record["outputs"]),
         ]
     )
