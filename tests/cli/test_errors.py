@@ -116,6 +116,8 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
         ("--from 1", "good.bin: is a single scan; leave out --topic, --from and --to"),
         ("--to 1", "good.bin: is a single scan; leave out --topic, --from and --to"),
         ("--from 5 --to 2", "--from 5 --to 2: ends before it begins; name a later --to"),
+        ("--video a.avi", "--video a.avi: is written as .mp4; name a file with this ending"),
+        ("--rerun a.txt", "--rerun a.txt: is written as .rrd; name a file with this ending"),
         ("--elevation 10,10.1", "good.bin: no point lies between "),
         ("--weights other", "no weights 'other': neither a released family nor a file"),
         ("--device gpu", "no device 'gpu'; there is auto, cpu and cuda"),

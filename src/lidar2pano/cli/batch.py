@@ -112,9 +112,11 @@ def checked_options(
 
 
 def common_files(scans: Sequence[Path], page: Path | None, video: Path | None, rerun: Path | None) -> OutputFiles:
-    """Return the requested files about all scans; InputError for an unwritable one."""
-    for file, option in ((page, "--out"), (video, "--video"), (rerun, "--rerun")):
+    """Return the requested files about all scans; InputError for an unwritable one, or the ending of another format."""
+    for file, option, ending in ((page, "--out", ""), (video, "--video", ".mp4"), (rerun, "--rerun", ".rrd")):
         if file:
+            if ending not in ("", file.suffix.lower()):
+                raise InputError(f"{option} {file}: is written as {ending}; name a file with this ending")
             check_file(file, option)
     return OutputFiles(page=page, title=title_of(scans), video=video, rerun=rerun)
 
