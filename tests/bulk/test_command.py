@@ -10,6 +10,7 @@ import pytest
 from typer.main import get_command
 
 from lidar2pano import demo
+from lidar2pano.bulk import Shard
 from lidar2pano.cli import app, main
 from lidar2pano.memory import Memory
 from lidar2pano.pipeline import load
@@ -42,6 +43,13 @@ def test_the_bytes_are_those_of_translate(drive, random_weights, capsys):
     settings = json.loads((drive / "bulk" / "bulk.json").read_text())
     assert settings["elevation"] is None, "as if it were not there, as in runs of before"
     assert settings["save"] == ["rgb", "segments", "labels", "depth"] and len(settings["sha256"]["painter"]) == 64
+
+
+def test_an_empty_shard_is_said(drive, random_weights, capsys):
+    index = next(index for index in (0, 1) if not Shard(index, 2).takes("one/a.bin"))
+    options = ["--weights", str(random_weights), "--device", "cpu", "--shard", f"{index}/2"]
+    assert main(["bulk", "drive", "--out", "bulk", *options]) == 0
+    assert capsys.readouterr().out == f"shard {index}/2 is empty; scans in all: 1\n"
 
 
 def test_files_that_may_be_scans_are_said(drive, random_weights, capsys):
@@ -92,6 +100,11 @@ def test_the_address_may_be_left_out(words, address):
         (["drive", "--out", "o", "--look", "B"], "the painter knows no look 'B'; it knows day"),
         (["drive", "--out", "drive"], "drive: is the folder of the scans; choose another --out"),
         (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is neither a folder nor a recording"),
+        (
+            ["drive", "--out", "o", "--workers", "4"],
+            "--workers and --cores: are those of a Ray cluster; name --ray too",
+        ),
+        (["drive", "--out", "o", "--cores", "4"], "--workers and --cores: are those of a Ray cluster; name --ray too"),
         (["drive"], "Missing option '--out'"),
     ],
 )

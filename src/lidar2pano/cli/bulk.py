@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 # (job, scans, whether to stop) -> the manifest's lines
 Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
+CORES = 2  # of a worker of Ray
 BAD_SCANS = 3  # exit code: some scans failed
 
 RootArgument = Annotated[
@@ -95,7 +96,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     forward: opt.ForwardOption = "",
     remission: opt.RemissionOption = "",
     strict: opt.StrictOption = False,
-    cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
+    cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = CORES,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on."""
     from lidar2pano.bulk import Job, Shard
@@ -105,6 +106,8 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
 
     pictures = opt.collect_pictures(image_format, projection)
     _check_layout(layout, elevation, **pictures)
+    if not address and (workers or cores != CORES):
+        raise InputError("--workers and --cores: are those of a Ray cluster; name --ray too")
     source, only = _source(root)
     part = Shard.parsed(shard)
     options = checked_options(
@@ -135,7 +138,7 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
 
     only  name of the single recording to translate; "": all below the job's source.
     """
-    from lidar2pano.bulk import Manifest, entries, start, translate_all
+    from lidar2pano.bulk import Manifest, Shard, entries, start, translate_all
     from lidar2pano.bulk.stores import Folder, open_store
     from lidar2pano.drives.folders import left_out
     from lidar2pano.models.card import read_card
@@ -150,6 +153,10 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     start(job, listed, options.files, settings)
     print_weights(options.note, map(read_card, options.files.values()))
     manifest = Manifest(open_store(job.out), part)
+    if not listed:
+        total = len(entries(store, Shard(), job.layout, labels=job.use_labels, selection=job.selection, only=only))
+        print(f"shard {part.index}/{part.count} is empty; scans in all: {total}")
+        return 0
     if cluster.address:
         return work_on_ray(job, listed, manifest, options, cluster)
     return work(job, listed, manifest, translate_all)
