@@ -106,8 +106,6 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
 
     pictures = opt.collect_pictures(image_format, projection)
     _check_layout(layout, elevation, **pictures)
-    if not address and (workers or cores != CORES):
-        raise InputError("--workers and --cores: are those of a Ray cluster; name --ray too")
     source, only = _source(root)
     part = Shard.parsed(shard)
     options = checked_options(
@@ -143,6 +141,8 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     from lidar2pano.drives.folders import left_out
     from lidar2pano.models.card import read_card
 
+    if not cluster.address and (cluster.workers or cluster.cores != CORES):
+        raise InputError("--workers and --cores: are those of a Ray cluster; name --ray too")
     store = open_store(job.source)
     listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     if isinstance(store, Folder) and not only and (note := left_out(store.root, {entry.key.input for entry in listed})):
