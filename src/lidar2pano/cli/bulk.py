@@ -98,7 +98,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     strict: opt.StrictOption = False,
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = CORES,
 ) -> None:
-    """Translate any number of scans. Repeat the command to go on."""
+    """Translate any number of scans, without cameras. Repeat the command to go on."""
     from lidar2pano.bulk import Job, Shard
     from lidar2pano.cli.batch import checked_options
     from lidar2pano.formats.interpretation import Overrides

@@ -43,7 +43,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     strict: opt.StrictOption = False,
     no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
 ) -> None:
-    """Write one HTML page to look around in, without need of a network, and open it. Scans are translated first."""
+    """Write one HTML page to look around in, without a network, and open it. Scans are translated, without cameras."""
     from lidar2pano.cli.batch import checked_options, common_files, open_page, translate_files
     from lidar2pano.drives.reading import ReadingOptions
     from lidar2pano.formats.interpretation import Overrides
