@@ -147,8 +147,8 @@ def test_networks_of_a_fold_are_gone_before_those_of_the_next_are_loaded(tmp_pat
     ("words", "says"),
     [
         ([], "say --data ROOT, or --folds"),
-        (["--folds", "a=x:val", "--folds", "b=x:val", "--data", "x"], "leave out --data"),
-        (["--folds", "a=x:val", "--folds", "b=x:val", "--worst", "3"], "leave out --data, --worst"),
+        (["--folds", "a=x:val", "--folds", "b=x:val", "--data", "x"], "--folds has no use for --data;"),
+        (["--folds", "a=x:val", "--folds", "b=x:val", "--worst", "3"], "--folds has no use for --worst;"),
     ],
 )
 def test_options_that_contradict_folds_are_refused(words, says, random_weights, capsys):

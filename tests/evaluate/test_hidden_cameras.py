@@ -15,7 +15,7 @@ from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.hidden_cameras import EACH, SYSTEMS, frame_cameras, hidden_views, score_hidden, table
-from lidar2pano.evaluate.metric_collection import PatchFeatures
+from lidar2pano.evaluate.metric_collection import MetricConfig, PatchFeatures
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import directions
 from lidar2pano.panorama import Panorama
@@ -167,3 +167,23 @@ def test_the_command_writes_scores_and_views(place, random_weights, tmp_path, ca
     assert set(json.loads((tmp_path / "a.json").read_text())["systems"]) == set(SYSTEMS)
     assert main([*command, "--leave-out", "none"]) == 2
     assert "no camera 'none'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--csv", "a.csv"), ("--worst", "1"), ("--pairs", "a"), ("--metrics", "points"), ("--sensor", "pandar64")],
+)
+def test_an_option_without_a_use_beside_leave_out_is_refused(place, random_weights, option, value, tmp_path, capsys):
+    value = str(tmp_path / value) if option in ("--csv", "--pairs") else value
+    command = ["evaluate", str(random_weights), "--data", str(place), "--split", "all", "--device", "cpu"]
+    command += ["--leave-out", "front_camera", "--out", str(tmp_path / "views"), option, value]
+    assert main(command) == 2
+    assert f"--leave-out has no use for {option}; leave that out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--sdnet", "--inception"])
+def test_networks_without_a_use_beside_leave_out_are_refused(option, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("lidar2pano.evaluate.MetricConfig.parse", lambda *_, **__: MetricConfig())
+    command = ["evaluate", "any", "--data", str(tmp_path), "--leave-out", EACH, "--out", str(tmp_path / "views")]
+    assert main([*command, option, str(tmp_path / "file")]) == 2
+    assert f"--leave-out has no use for {option}; leave that out" in capsys.readouterr().err

@@ -14,12 +14,13 @@ from lidar2pano.cli.options import ElevationOption, EngineOption
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from lidar2pano.data.frames import Frame
     from lidar2pano.evaluate import Evaluation, MetricConfig, System
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
     from lidar2pano.evaluate.folds import Fold
+    from lidar2pano.evaluate.metric_collection import PatchFeatures
     from lidar2pano.evaluate.panorama_system import SystemInfo
     from lidar2pano.evaluate.pictures import Preferences
     from lidar2pano.pipeline import Pipeline
@@ -102,14 +103,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     build = partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation)
     if folds:
-        if data or worst or pairs or leave_out:
-            raise InputError("--folds compares scores over places; leave out --data, --worst, --pairs and --leave-out")
+        refuse_beside("--folds", {"--data": data, "--worst": worst, "--pairs": pairs, "--leave-out": leave_out})
         score_folds(weights, folds, build, config, as_json, as_csv)
     elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     elif leave_out:
+        images = {"--worst": worst, "--pairs": pairs}
+        networks = {"--sdnet": sdnet, "--inception": inception, "--sensor": sensor}
+        refuse_beside("--leave-out", {"--metrics": metrics, "--csv": as_csv} | images | networks)
         loader = partial(load_reaching, device=device, engine=engine, elevation=elevation)
-        leave_out_cameras(weights, data, split, leave_out, out, as_json, device, loader)
+        leave_out_cameras(weights, data, split, leave_out, out, as_json, config.patches, loader)
     else:
         systems = [build(name) for name in dict.fromkeys(weights)]
         score_split(systems, Fold(split, data, split), config, as_json, as_csv, out, worst, pairs)
@@ -221,19 +224,17 @@ def leave_out_cameras(
     leave_out: str,
     out: Path,
     as_json: Path | None,
-    device: str,
+    patches: Mapping[str, PatchFeatures],
     loader: Callable[[str], Pipeline],
 ) -> None:
     """Score the views of hidden cameras, write a sheet of each, and print a table."""
     from lidar2pano.cli.console import bar
     from lidar2pano.cli.options import write_json
     from lidar2pano.data.layouts import frames
-    from lidar2pano.evaluate import MetricConfig
     from lidar2pano.evaluate.hidden_cameras import score_hidden, table
 
     if len(weights) != 1:
         raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
-    patches = MetricConfig.parse("pictures,camera", device=device).patches
     scored, pipeline = frames(data, split), loader(weights[0])
     with bar(len(scored), f"hiding {leave_out}") as advance:
         scores = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance)
@@ -254,6 +255,12 @@ def noted(
         advance()
 
     return note
+
+
+def refuse_beside(option: str, values: Mapping[str, object]) -> None:
+    """Raise InputError if any of these options, by name, has a value: `option` does not use them."""
+    if used := [name for name, value in values.items() if value]:
+        raise InputError(f"{option} has no use for {', '.join(used)}; leave that out")
 
 
 def check_outputs(as_json: Path | None, as_csv: Path | None, *folders: Path | None) -> None:
