@@ -260,6 +260,8 @@ def data(here):
         ("--json small", "small: is a folder; name a file for --json"),
         ("--csv small", "small: is a folder; name a file for --csv"),
         ("--worst 1 --out file", "file: cannot be written (file is not a folder); choose another --out"),
+        ("--worst 1", "--worst needs a folder for its images; add --out DIR"),
+        ("--out sheets", "--out is for images of --worst or --leave-out; add one of them"),
         ("--worst -1", "Invalid value for '--worst': Input should be greater than or equal to 0"),
         ("--metrics ssmi", "--metrics: nothing is called 'ssmi'; there is camera, classes"),
         ("--sensor os1", "no sensor 'os1'"),

@@ -169,6 +169,13 @@ def test_the_command_writes_scores_and_views(place, random_weights, tmp_path, ca
     assert "no camera 'none'" in capsys.readouterr().err
 
 
+def test_no_view_is_written_without_a_folder(place, random_weights, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ["evaluate", str(random_weights), "--data", str(place), "--split", "all", "--device", "cpu"]
+    assert main([*command, "--leave-out", "front_camera"]) == 0
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("option", "value"),
     [("--csv", "a.csv"), ("--worst", "1"), ("--pairs", "a"), ("--metrics", "points"), ("--sensor", "pandar64")],

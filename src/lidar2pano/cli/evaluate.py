@@ -39,7 +39,7 @@ PairsOption = Annotated[
     typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' panoramas."),
 ]
 OutOption = Annotated[
-    Path, typer.Option(metavar="DIR", help="Folder for the worst frames, and for the views of --leave-out.")
+    Path | None, typer.Option(metavar="DIR", help="Folder for the images of --worst, or of the views of --leave-out.")
 ]
 LeaveOutOption = Annotated[
     str,
@@ -85,7 +85,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     ] = None,
     as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as CSV.")] = None,
     worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
-    out: OutOption = Path("worst"),
+    out: OutOption = None,
     pairs: PairsOption = None,
     leave_out: LeaveOutOption = "",
     folds: FoldsOption = None,
@@ -98,7 +98,11 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.evaluate.folds import Fold
     from lidar2pano.hardware import keep_buffers
 
-    check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
+    if worst and not out:
+        raise InputError("--worst needs a folder for its images; add --out DIR")
+    if out and not worst and not leave_out:
+        raise InputError("--out is for images of --worst or --leave-out; add one of them")
+    check_outputs(as_json, as_csv, out, pairs)
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     build = partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation)
@@ -124,7 +128,7 @@ def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
     config: MetricConfig,
     as_json: Path | None,
     as_csv: Path | None,
-    out: Path,
+    out: Path | None,
     worst: int,
     pairs: Path | None,
 ) -> None:
@@ -140,7 +144,7 @@ def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
         write_json(as_json, summary, "--json")
     if as_csv:
         write_csv(as_csv, report.records(summary), "--csv")
-    if worst:
+    if out:
         write_worst(evaluation, out)
     if preferences:
         print_note(f"choose between the panoramas: {preferences.write()}")
@@ -222,12 +226,12 @@ def leave_out_cameras(
     data: Path,
     split: str,
     leave_out: str,
-    out: Path,
+    out: Path | None,
     as_json: Path | None,
     patches: Mapping[str, PatchFeatures],
     loader: Callable[[str], Pipeline],
 ) -> None:
-    """Score the views of hidden cameras, write a sheet of each, and print a table."""
+    """Score the views of hidden cameras, write a sheet of each into `out`, and print a table."""
     from lidar2pano.cli.console import bar
     from lidar2pano.cli.options import write_json
     from lidar2pano.data.layouts import frames
