@@ -16,6 +16,7 @@ from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.hidden_cameras import EACH, SYSTEMS, frame_cameras, hidden_views, score_hidden, table
 from lidar2pano.evaluate.metric_collection import MetricConfig, PatchFeatures
+from lidar2pano.evaluate.pictures import CAPTION_ROWS
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import directions
 from lidar2pano.panorama import Panorama
@@ -130,7 +131,7 @@ def test_scores_say_what_the_other_cameras_bring(place, tmp_path):
     assert "| class colour error | " in table(summary) and "6 hidden views" in table(summary)
     paths = sorted((tmp_path / "views").iterdir())
     with Image.open(paths[0]) as sheet:
-        assert len(paths) == 6 and sheet.size == (3 * 480, 300)
+        assert len(paths) == 6 and sheet.size == (3 * 480, 300 + CAPTION_ROWS)
 
 
 def test_one_camera_is_hidden_by_its_name(place):

@@ -14,7 +14,7 @@ from lidar2pano.cli import main
 from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from lidar2pano.evaluate.ground_truth import Resampled
 from lidar2pano.evaluate.panorama_system import Prediction
-from lidar2pano.evaluate.pictures import WorstFrame, WorstFrames, sheet
+from lidar2pano.evaluate.pictures import CAPTION_ROWS, WorstFrame, WorstFrames, sheet
 from lidar2pano.labels import CITYSCAPES, COMMON15
 from lidar2pano.views import View
 from random_weights import street, write_data_set, write_weights
@@ -88,7 +88,7 @@ def check_worst(folder: Path, ours: dict) -> None:
     assert rows[-1]["metric"] == "camera SSIM"  # the oracle predicts no classes
     for row in rows:
         with Image.open(folder / row["image"]) as image:
-            assert image.size == (2 * SIZE[0], 2 * SIZE[1])
+            assert image.size == (2 * SIZE[0], 2 * (SIZE[1] + CAPTION_ROWS))
 
 
 def test_only_some_metrics(data, random_weights, capsys):
@@ -109,16 +109,25 @@ def test_a_sheet_shows_ground_truth_beside_prediction():
     true, image = np.full((4, 6, 3), 10, np.uint8), np.full((4, 6, 3), 20, np.uint8)
     labels = np.full((4, 6), CITYSCAPES.id_of("car"), np.uint8)
     found = sheet(frame_of(image=true, camera_labels=labels), Prediction(image=image), None)
-    assert found.shape == (8, 12, 3)
-    assert (found[:4, :6] == 10).all() and (found[:4, 6:] == 20).all()
-    assert (found[4:, :6] == COMMON15.colours[1]).all() and (found[4:, 6:] == 0).all()  # no classes are predicted
+    gap = CAPTION_ROWS
+    assert found.shape == (2 * (gap + 4), 12, 3) and found[:gap, :6].max() > 200, "a caption"
+    assert (found[gap : gap + 4, :6] == 10).all() and (found[gap : gap + 4, 6:] == 20).all()
+    assert (found[2 * gap + 4 :, :6] == COMMON15.colours[1]).all() and (found[gap + 4 :, 6:] == 0).all()
     view = View(rows=3, columns=16, up=0.2, down=-0.2, kind="cylinder")
     wide = np.full((3, 16, 3), 30, np.uint8)
     around = PanoramaGroundTruth(view=view, image=wide, valid=np.ones((3, 16), bool))
     ours = Resampled(wide + 1, np.zeros((3, 16), np.uint8), np.zeros((3, 16), np.float32))
-    found = sheet(frame_of(image=true, panorama=around), Prediction(image=image), ours)
-    assert found.shape == (4 + 6 + 6, 16, 3) and (found[:4, 12:] == 0).all()
-    assert (found[4:7] == 30).all() and (found[7:10] == 31).all()
+    found = sheet(frame_of(image=true, panorama=around), Prediction(), ours)
+    assert found.shape == ((gap + 4) + 3 * (gap + 3), 16, 3), "the image, panoramas, predicted classes"
+    assert (found[gap : gap + 4, :6] == 10).all() and (found[gap : gap + 4, 6:] == 0).all()
+    assert (found[2 * gap + 4 :][:3] == 30).all() and (found[3 * gap + 7 :][:3] == 31).all()
+    found = sheet(frame_of(panorama=around), Prediction(painted=False), ours)
+    assert found.shape == (2 * (gap + 3), 16, 3), "colours that were not predicted are not shown"
+
+
+def test_a_sheet_has_no_place_for_what_is_not_predicted():
+    true = np.full((4, 6, 3), 10, np.uint8)
+    assert sheet(frame_of(image=true), Prediction(point_labels=np.zeros(3, int)), None).shape[1] == 6
     assert sheet(frame_of(), Prediction(), None) is None
 
 

@@ -15,6 +15,7 @@ from lidar2pano.drives.camera_choice import CameraOptions
 from lidar2pano.drives.cameras import cameras_of
 from lidar2pano.errors import InputError, closest
 from lidar2pano.evaluate.metric_collection import PatchFeatures
+from lidar2pano.evaluate.pictures import captioned
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
@@ -55,9 +56,11 @@ class HiddenView:
         return float(1 - self.invented[self.valid].mean()) if self.valid.any() else 0.0
 
     def sheet(self) -> np.ndarray:
-        """Return the image and the predictions side by side, (h, 3 w, 3) uint8, black outside `valid`."""
-        images = [self.real, *self.predicted.values()]
-        return np.concatenate([image * self.valid[..., None] for image in images], axis=1)
+        """Return the image and the predictions under their captions, (H, 3 w, 3) uint8, black outside `valid`."""
+        images = {"image": self.real, **self.predicted}
+        joined = captioned({caption: image * self.valid[..., None] for caption, image in images.items()})
+        assert joined is not None
+        return joined
 
 
 @dataclass(kw_only=True)

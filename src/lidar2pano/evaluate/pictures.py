@@ -9,12 +9,13 @@ import hashlib
 import heapq
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
 from lidar2pano.errors import InputError
@@ -22,6 +23,8 @@ from lidar2pano.evaluate.ground_truth import Resampled
 from lidar2pano.evaluate.panorama_system import Prediction
 from lidar2pano.formats.image_files import write_png, write_text, write_whole
 from lidar2pano.labels import COMMON15
+
+CAPTION_ROWS = 14  # of pixels, for Pillow's own font
 
 
 class WorstFrame(NamedTuple):
@@ -62,37 +65,41 @@ class WorstFrames:
 
 
 def sheet(frame: Frame, prediction: Prediction, panorama: Resampled | None) -> np.ndarray | None:
-    """Put ground truth on the left (of panoramas: above), prediction on the right (below): colours, then classes.
+    """Put colours above classes, ground truth on the left (of panoramas: above), prediction on the right (below).
 
-    Returns (H, W, 3) uint8; None if there is nothing to show. Missing images are black.
+    Returns (H, W, 3) uint8, each image under its caption; None if there is nothing to show.
     """
     labels = None if frame.camera_labels is None else CITYSCAPES_TO_COMMON15[frame.camera_labels]
     rows = [
-        _joined(frame.image, prediction.image, axis=1),
-        _joined(_painted(labels), _painted(prediction.camera_labels), axis=1),
+        {"image": frame.image, "predicted image": prediction.image},
+        {"classes": _painted(labels), "predicted classes": _painted(prediction.camera_labels)},
     ]
     true = frame.panorama
     if true is not None and panorama is not None:
-        rows.append(_joined(true.image, panorama.image, axis=0))
-        rows.append(_joined(_painted(true.labels), _painted(panorama.labels), axis=0))
-    images = [row for row in rows if row is not None]
-    if not images:
+        painted = panorama.image if prediction.painted else None
+        rows += [{"panorama": true.image}, {"predicted panorama": painted}]
+        rows += [{"panorama's classes": _painted(true.labels)}]
+        rows += [{"predicted panorama's classes": _painted(panorama.labels)}]
+    joined = [row for row in map(captioned, rows) if row is not None]
+    if not joined:
         return None
-    width = max(image.shape[1] for image in images)
-    return np.concatenate([np.pad(image, ((0, 0), (0, width - image.shape[1]), (0, 0))) for image in images])
+    width = max(row.shape[1] for row in joined)
+    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in joined])
+
+
+def captioned(images: Mapping[str, np.ndarray | None]) -> np.ndarray | None:
+    """Join images (h, w, 3) uint8 of one height side by side, each under its caption; None if all are missing."""
+    columns: list[np.ndarray] = []
+    for caption, image in images.items():
+        if image is not None:
+            strip = Image.new("RGB", (image.shape[1], CAPTION_ROWS))
+            ImageDraw.Draw(strip).text((2, 1), caption, fill="white")
+            columns.append(np.concatenate([np.asarray(strip), image]))
+    return np.concatenate(columns, axis=1) if columns else None
 
 
 def _painted(ids: np.ndarray | None) -> np.ndarray | None:
     return None if ids is None else COMMON15.paint(np.asarray(ids))
-
-
-def _joined(first: np.ndarray | None, second: np.ndarray | None, axis: int) -> np.ndarray | None:
-    """Join two images of one size, a missing one black; None if both are missing or of different sizes."""
-    images = [image for image in (first, second) if image is not None]
-    if not images or len({image.shape for image in images}) > 1:
-        return None
-    black = np.zeros_like(images[0])
-    return np.concatenate([black if image is None else image for image in (first, second)], axis)
 
 
 class Preferences:
