@@ -183,6 +183,30 @@ def test_intervals_need_several_frames():
     assert "| accuracy |  | 0.727 (0.400 to 1.000) |" in report.table(report.as_dict(both))
 
 
+@pytest.mark.parametrize(
+    ("groups", "parts", "said"),
+    [
+        (("time",), {}, "camera time, because that needs frames that follow each other, with poses and depths, and"),
+        (("points",), {"point_labels": None}, "points, because that needs point labels"),
+        (("classes",), {}, "panorama, because that needs ground-truth panoramas"),
+    ],
+)
+def test_metrics_that_cannot_be_measured_are_named_with_their_needs(groups, parts, said):
+    config = MetricConfig(groups=groups)
+    heading = report.as_dict(scored([frame_of(**parts)], fixed([[ROAD] * 6] * 2), config=config))["heading"]
+    assert f"Not measured: {said}" in heading
+    assert "camera classes" not in heading
+
+
+def test_a_steady_system_uses_poses_of_frames_that_follow_each_other():
+    (one := fixed()).steady = True
+    frames = [frame_of(f"00/{number:06d}", pose=np.eye(4)) for number in (0, 1)]
+    assert "Input is the sensor's pose beside the scan: fixed." in report.as_dict(scored(frames, one))["heading"]
+    heading = report.as_dict(scored(frames[:1], one))["heading"]
+    assert "sensor's pose" not in heading
+    assert "Not smoothed over time, because no frame with a pose follows another: fixed." in heading
+
+
 # --- system inputs ---------------------------------------------------------------------------------------------------
 
 
@@ -306,10 +330,11 @@ def test_a_camera_segmenters_file(tmp_path):
     assert features.shape == (1, 8) and torch.allclose(features[0], context[0].flatten(1).mean(1), rtol=1e-4)
     assert context.shape[2] > 1 and context.std((2, 3)).max() > 0
     assert MetricConfig.parse("classes", sdnet=tmp_path, device="cpu").image_segmenter is None  # no metric needs it
-    with pytest.raises(InputError, match="no weight file"):
-        MetricConfig.parse(sdnet=tmp_path / "none", device="cpu")
-    with pytest.raises(InputError, match="no such file; FID needs"):
-        MetricConfig.parse(inception=tmp_path / "none", device="cpu")
+    for words in ("pictures", "points"):
+        with pytest.raises(InputError, match="no weight file"):
+            MetricConfig.parse(words, sdnet=tmp_path / "none", device="cpu")
+        with pytest.raises(InputError, match="no such file; FID needs"):
+            MetricConfig.parse(words, inception=tmp_path / "none", device="cpu")
 
 
 def test_the_cameras_depth_is_compared_with_the_scans_own():

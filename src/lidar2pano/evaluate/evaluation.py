@@ -111,7 +111,7 @@ class Evaluation:
     """The result of `score`.
 
     images     number of frames with camera labels;  scans: with point labels;  camera_images: with a camera image;
-               panoramas: with a ground-truth panorama.
+               panoramas: with a ground-truth panorama;  following: after another of their sequence, both with poses.
     pseudo_labels  number of frames by part ("point labels", ...) and hash of the teacher of its labels.
     reference  metrics of the ground truth itself: seams, warping error, re-segmentation.
     """
@@ -125,6 +125,7 @@ class Evaluation:
     scans: int = 0
     camera_images: int = 0
     panoramas: int = 0
+    following: int = 0
     pseudo_labels: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def target_classes(self, sector: str = "camera") -> list[int]:
@@ -165,6 +166,7 @@ def score(
     for frame in frames:
         _count_parts(result, frame)
         inputs, flows = system_input(frame, config), _flows(previous, frame, config)
+        result.following += flows.following
         for system in evaluated:
             system.evaluate(frame, inputs, flows)
         _count_reference(reference, previous, frame, flows)

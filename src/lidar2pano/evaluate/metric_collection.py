@@ -108,6 +108,8 @@ class MetricConfig:
         sdnet      weight file or run of a camera segmenter.
         Raises InputError for unknown words and for unusable files.
         """
+        inception_file = find_inception(inception)
+        camera_file = None if sdnet is None else _camera_file(sdnet)
         named = [word.strip() for word in words.split(",") if word.strip()]
         for word in named:
             if word not in (*GROUPS, *SECTORS):
@@ -118,8 +120,8 @@ class MetricConfig:
         return cls(
             groups=groups,
             sectors=sectors,
-            inception=_inception(inception, picked) if images else None,
-            image_segmenter=_image_segmenter(sdnet, picked) if images and sdnet is not None else None,
+            inception=_inception(inception_file, picked) if images and inception_file else None,
+            image_segmenter=_image_segmenter(camera_file, picked) if images and camera_file else None,
             patches=_patches(picked) if "pictures" in groups else {},
         )
 
@@ -133,10 +135,7 @@ class MetricConfig:
         return bool({"pictures", "seams", "time", "roll"} & set(self.groups))
 
 
-def _inception(path: Path | None, device: torch.device) -> FeatureExtractor | None:
-    file = find_inception(path)
-    if file is None:
-        return None
+def _inception(file: Path, device: torch.device) -> FeatureExtractor:
     network = load_inception(file, device)
     return FeatureExtractor(features=lambda images: network(images.to(device)), sha256=SHA256)
 
@@ -160,9 +159,16 @@ def _patches(device: torch.device) -> dict[str, PatchFeatures]:
     }
 
 
-def _image_segmenter(path: Path, device: torch.device) -> ImageSegmenter:
+def _camera_file(path: Path) -> Path:
+    """Return the weight file of a camera segmenter or of its run; InputError if it is missing."""
     folder = path / "weights" if (path / "weights").is_dir() else path
     file = folder / "camera.safetensors" if folder.is_dir() else folder
+    if not file.is_file():
+        raise InputError(f"no weight file {file}; check the path")
+    return file
+
+
+def _image_segmenter(file: Path, device: torch.device) -> ImageSegmenter:
     network, card = load(file, device, expect="sdnet")
     segmenter = CameraSegmenter.from_card(network, card)
     features = FeatureExtractor(features=lambda images: _context(segmenter, images), sha256=card.sha256)
@@ -212,6 +218,17 @@ RANKING = (  # frames are ranked by their first of these; more is better
     ("panorama", "ssim", "SSIM"),
     ("points", "classes", "mIoU"),
 )
+# group -> the leading one of its values, and its needs
+LEADING = {
+    "points": ("miou", "point labels"),
+    "classes": ("miou", "class labels and a system that predicts classes"),
+    "pictures": ("swd", "images and a system that paints"),
+    "depth": ("depth_abs_rel", "measured depths and a system that predicts depths"),
+    "seams": ("seam_ratio", "a system that paints"),
+    "time": ("warping_error", "frames that follow each other, with poses and depths, and a system that paints"),
+    "roll": ("roll_error", "a system of panoramas"),
+}
+PANORAMA_NEED = "ground-truth panoramas"
 Metric = TypeVar("Metric", bound="FrameMetric | SetMetric")
 
 

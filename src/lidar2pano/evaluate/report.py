@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
-from lidar2pano.evaluate.metric_collection import SWD_LEVELS, UNSCORED, MetricValue
+from lidar2pano.evaluate.metric_collection import ABSENT, LEADING, PANORAMA_NEED, SWD_LEVELS, UNSCORED, MetricValue
 from lidar2pano.labels import COMMON15
 from lidar2pano.markdown import markdown_table
 
@@ -169,7 +169,25 @@ def _heading(evaluation: Evaluation, entries: Sequence[Entry]) -> str:
         )
     if any(entry["low"] is not None for entry in entries):
         parts.append("In brackets: 95 % interval, by the bootstrap over frames (distances of sets: by the jackknife).")
-    return " ".join([*parts, *_reservations(evaluation)])
+    return " ".join([*parts, *_unmeasured(evaluation, entries), *_reservations(evaluation)])
+
+
+def _unmeasured(evaluation: Evaluation, entries: Iterable[Entry]) -> Iterable[str]:
+    """Name the requested metrics without any value, and their needs; entries: of all systems."""
+    measured = {(entry["sector"], entry["name"]) for entry in entries if entry["value"] is not None}
+    titles: dict[str, list[str]] = {}
+    for sector in ("points", *evaluation.config.sectors):
+        for group in evaluation.config.groups:
+            value, need = LEADING[group]
+            if group in ABSENT.get(sector, LEADING.keys() - {"points"}) or (sector, value) in measured:
+                continue
+            if sector == "panorama" and not evaluation.panoramas:
+                titles[PANORAMA_NEED] = [sector]
+            else:
+                titles.setdefault(need, []).append(group if sector == "points" else f"{sector} {group}")
+    if titles:
+        reasons = (f"{', '.join(groups)}, because that needs {need}" for need, groups in titles.items())
+        yield f"Not measured: {'; '.join(reasons)}."
 
 
 def _reservations(evaluation: Evaluation) -> Iterable[str]:
@@ -182,8 +200,10 @@ def _reservations(evaluation: Evaluation) -> Iterable[str]:
     if oracles:
         yield f"Input is the camera's ground-truth labels, not the scan: {', '.join(oracles)}."
     steady = [system.info.name for system in systems if getattr(system, "steady", False)]
-    if steady:
+    if steady and evaluation.following:
         yield f"Input is the sensor's pose beside the scan: {', '.join(steady)}."
+    elif steady:
+        yield f"Not smoothed over time, because no frame with a pose follows another: {', '.join(steady)}."
 
 
 def _selected_here(evaluation: Evaluation, networks: Mapping[str, Mapping[str, Any]]) -> bool:
