@@ -313,7 +313,6 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
                      "SWD x 1000 by level, 1024 512 256 128 64 32 16", "patch Frechet / real-to-real",
                      "patch Frechet / real-to-real, half size", *edges,
                      "patch Frechet distance", "patch Frechet, real-to-real",
-                     "depth AbsRel", "depth RMSE, m",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
                      "project, ms", "segment, ms", "clean up, ms", "translate, ms", "paint, ms",
                      "finish, ms", "camera, ms"]  # fmt: skip

@@ -11,6 +11,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
+from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, report, score, system
 from lidar2pano.evaluate.evaluation import ROLL, EvaluatedSystem, rotated
@@ -337,15 +338,21 @@ def test_a_camera_segmenters_file(tmp_path):
             MetricConfig.parse(words, inception=tmp_path / "none", device="cpu")
 
 
-def test_the_cameras_depth_is_compared_with_the_scans_own():
-    scan, unknown = street(points=400), np.full((24, 80), IGNORE, np.uint8)
-    frame = frame_of(scan=scan, calibration=camera(80, 24), camera_labels=unknown, point_labels=None)
-    from lidar2pano.geometry.camera import project_to_camera
-
-    exact = project_to_camera(scan, camera(80, 24), (24, 80))[1].numpy()
-    evaluation = scored([frame], Fixed(depth_m=exact), Fixed(depth_m=1.5 * exact + 1.0 * (exact == 0)))
+def test_depths_are_compared_with_dense_ones_alone():
+    parts = {"calibration": camera(8, 4), "camera_labels": np.full((4, 8), ROAD, np.uint8)}
+    exact = camera_distances(frame_of(**parts, panorama=true_panorama()), camera(8, 4)).nan_to_num(posinf=0).numpy()
+    systems = [
+        Fixed(depth_m=factor * exact, panorama=lambda inputs: around(inputs) if inputs.origin else None)
+        for factor in (1, 1.5)
+    ]
+    evaluation = scored([frame_of(**parts, panorama=true_panorama())], *systems)
     assert value_of(evaluation, "camera", "depth_abs_rel") == 0
     assert value_of(evaluation, "camera", "depth_abs_rel", 1) == pytest.approx(0.5)
+    gaps = np.where(np.arange(64) % 2, 0, true_panorama().depth_m).astype(np.float32)  # as of a scan, the input
+    for panorama in (None, true_panorama(depth_m=gaps)):
+        evaluation = scored([frame_of(**parts, panorama=panorama)], *systems)
+        assert not [one.name for one in evaluation.values(evaluation.systems[0].metrics) if "depth" in one.name]
+        assert "camera depth" in report.as_dict(evaluation)["heading"]
 
 
 # --- panoramas --------------------------------------------------------------------------------------------------------
@@ -374,6 +381,13 @@ def around(inputs: SystemInput, view: View = RASTER, **parts: object) -> Panoram
         "labels": np.zeros(len(inputs.scan), np.int64),
     }
     return Panorama(**known | parts)
+
+
+def test_images_of_a_stitched_panorama_are_counted():
+    vars(frame := SurroundFrame("00/000000", RASTER)).update(vars(with_image("a", 0, panorama=true_panorama())))
+    vars(frame).update(name="00/000000", camera_names=("front", "left", "right"))
+    heading = report.as_dict(scored([frame], Fixed(panorama=around)))["heading"]
+    assert "1 images of the front camera" in heading and "ground-truth panoramas (1, of 3 camera images)" in heading
 
 
 def test_panoramas_by_hand():

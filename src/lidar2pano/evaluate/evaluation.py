@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame
+from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.ground_truth import (
     Resampled,
@@ -111,7 +112,8 @@ class Evaluation:
     """The result of `score`.
 
     images     number of frames with camera labels;  scans: with point labels;  camera_images: with a camera image;
-               panoramas: with a ground-truth panorama;  following: after another of their sequence, both with poses.
+               panoramas: with a ground-truth panorama, real ones stitched from `stitched_images` in all;
+               following: behind another frame of their sequence, both with poses.
     pseudo_labels  number of frames by part ("point labels", ...) and hash of the teacher of its labels.
     reference  metrics of the ground truth itself: seams, warping error, re-segmentation.
     """
@@ -125,6 +127,7 @@ class Evaluation:
     scans: int = 0
     camera_images: int = 0
     panoramas: int = 0
+    stitched_images: int = 0
     following: int = 0
     pseudo_labels: Counter[tuple[str, str]] = field(default_factory=Counter)
 
@@ -210,6 +213,8 @@ def _count_parts(result: Evaluation, frame: Frame) -> None:
         raise InputError(f"{frame.name} has neither camera_labels/ nor labels/, and no image; label it first")
     for name, part in zip(("images", "scans", "camera_images", "panoramas"), parts, strict=True):
         setattr(result, name, getattr(result, name) + (part is not None))
+    if isinstance(frame, SurroundFrame) and frame.panorama is not None:
+        result.stitched_images += len(frame.camera_names)
     result.pseudo_labels.update(pseudo_labels(frame).items())
 
 

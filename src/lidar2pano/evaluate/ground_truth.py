@@ -142,22 +142,37 @@ def _motion(previous: Frame, frame: Frame) -> Tensor:
 
 def camera_distances(frame: Frame, calibration: Calibration) -> Tensor:
     """Return distances (h, w) for `ego_flow`: those of a dense panorama around this camera, else the scan's."""
-    panorama = frame.panorama
-    if panorama is not None and _is_dense(panorama):
-        offset = np.abs(np.subtract(panorama.view.origin, calibration.centre)).max()
-        distances = _panorama_distances(frame)
-        if offset <= SAME_PLACE_M and distances is not None:
-            return panorama_in_camera(panorama.view, calibration).nearest(distances)
+    dense = _dense_distances(frame, calibration)
+    if dense is not None:
+        return dense
     distance = scan_distances(torch.from_numpy(frame.scan.xyz), calibration)
     assert frame.camera_labels is not None
     return distance.where(torch.from_numpy(CITYSCAPES_TO_COMMON15[frame.camera_labels]) != SKY, torch.inf)
+
+
+def camera_depth(frame: Frame) -> Tensor | None:
+    """Return the true depth (h, w) in the camera, metres, 0 = none; None without a dense panorama around it."""
+    dense = None if frame.calibration is None else _dense_distances(frame, frame.calibration)
+    return None if dense is None else dense.nan_to_num(posinf=0)
+
+
+def _dense_distances(frame: Frame, calibration: Calibration) -> Tensor | None:
+    """Return distances (h, w) in a dense panorama around this camera, infinite in the sky; None if there is none."""
+    panorama = frame.panorama
+    if panorama is None or not is_dense(panorama):
+        return None
+    distances = _panorama_distances(frame)
+    offset = np.abs(np.subtract(panorama.view.origin, calibration.centre)).max()
+    if distances is None or offset > SAME_PLACE_M:
+        return None
+    return panorama_in_camera(panorama.view, calibration).nearest(distances)
 
 
 def _panorama_distances(frame: Frame) -> Tensor | None:
     """Return distances (H, W) on the panorama's raster, infinite in the sky: dense ones, or the scan's completed."""
     panorama = frame.panorama
     assert panorama is not None
-    if _is_dense(panorama):
+    if is_dense(panorama):
         distance = torch.from_numpy(np.array(panorama.depth_m, dtype=np.float32))
         return torch.where(distance == 0, torch.inf, distance)
     if panorama.view.kind != "cylinder":
@@ -171,7 +186,7 @@ def _static(flow: Flow, labels: np.ndarray) -> Flow:
     return Flow(shift=flow.shift * known, known=known)
 
 
-def _is_dense(panorama: PanoramaGroundTruth) -> bool:
+def is_dense(panorama: PanoramaGroundTruth) -> bool:
     """Return whether every pixel has a depth or is sky, as in simulated panoramas; depths of a scan are sparse."""
     if panorama.depth_m is None or panorama.labels is None:
         return False

@@ -16,9 +16,8 @@ from torch import Tensor
 
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
 from lidar2pano.errors import InputError, closest
-from lidar2pano.evaluate.ground_truth import Resampled, windows
+from lidar2pano.evaluate.ground_truth import Resampled, camera_depth, is_dense, windows
 from lidar2pano.evaluate.panorama_system import Prediction
-from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.hardware import pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES
@@ -223,7 +222,7 @@ LEADING = {
     "points": ("miou", "point labels"),
     "classes": ("miou", "class labels and a system that predicts classes"),
     "pictures": ("swd", "images and a system that paints"),
-    "depth": ("depth_abs_rel", "measured depths and a system that predicts depths"),
+    "depth": ("depth_abs_rel", "dense ground truth, not the scan, and a system that predicts depths"),
     "seams": ("seam_ratio", "a system that paints"),
     "time": ("warping_error", "frames that follow each other, with poses and depths, and a system that paints"),
     "roll": ("roll_error", "a system of panoramas"),
@@ -279,11 +278,8 @@ class MetricCollection:
         if "classes" in groups and prediction.camera_labels is not None and frame.camera_labels is not None:
             target = CITYSCAPES_TO_COMMON15[frame.camera_labels]
             self._metric("camera", "classes", _mean_iou).update(prediction.camera_labels, target, frame.name)
-        if "depth" in groups and prediction.depth_m is not None:
-            assert frame.calibration is not None
-            rows, columns = prediction.depth_m.shape
-            measured = project_to_camera(frame.scan, frame.calibration, (rows, columns))[1]
-            self._metric("camera", "depth", DepthError).update(prediction.depth_m, measured, frame.name)
+        if "depth" in groups and prediction.depth_m is not None and (depth_m := camera_depth(frame)) is not None:
+            self._metric("camera", "depth", DepthError).update(prediction.depth_m, depth_m, frame.name)
         if image is None:
             return
         if "pictures" in groups and frame.image is not None:
@@ -306,7 +302,7 @@ class MetricCollection:
         assert true is not None
         if "classes" in groups and true.labels is not None:
             self._metric("panorama", "classes", _mean_iou).update(predicted.labels, true.labels, frame.name)
-        if "depth" in groups and true.depth_m is not None:
+        if "depth" in groups and true.depth_m is not None and is_dense(true):  # a scan's own depths are the input
             self._metric("panorama", "depth", DepthError).update(predicted.depth_m, true.depth_m, frame.name)
         if not painted:
             return

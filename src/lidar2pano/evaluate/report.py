@@ -143,11 +143,13 @@ def _heading(evaluation: Evaluation, entries: Sequence[Entry]) -> str:
     present = evaluation.target_classes() or ([] if evaluation.images else evaluation.target_classes("panorama"))
     missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
-    images = max(evaluation.images, evaluation.camera_images)
+    images, stitched = max(evaluation.images, evaluation.camera_images), evaluation.stitched_images
+    sort = "images of the front camera" if stitched else "camera images"
+    cameras = f"{images} {sort}, each scored as a whole at its own size, " if evaluation.config.has("camera") else ""
     parts = [
-        f"`{evaluation.split}` of {evaluation.data}: {images} camera images, each scored as a whole at"
-        f" its own size, predicted from the scan alone; {evaluation.scans} scans with point labels. Pixels whose target"
-        f" is unlabeled, sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
+        f"`{evaluation.split}` of {evaluation.data}: {cameras}predicted from the scan alone; {evaluation.scans} scans"
+        f" with point labels. Pixels whose target is unlabeled, sky or unknown are not scored; predictions of unlabeled"
+        f" or sky count as wrong."
     ]
     teachers = sorted(evaluation.pseudo_labels.items())
     if teachers:
@@ -162,10 +164,11 @@ def _heading(evaluation: Evaluation, entries: Sequence[Entry]) -> str:
         )
         if evaluation.config.inception is None:
             parts.append("FID: not measured, no Inception weights were given.")
-    if evaluation.panoramas:
+    if evaluation.panoramas and evaluation.config.has("panorama"):
         parts.append(
-            f"Panorama: against ground-truth panoramas ({evaluation.panoramas}), on their raster, where they are valid;"
-            " SWD in quarters."
+            f"Panorama: against ground-truth panoramas ({evaluation.panoramas}"
+            f"{f', of {stitched} camera images' if stitched else ''}), on their raster, where they are valid; SWD in"
+            " quarters."
         )
     if any(entry["low"] is not None for entry in entries):
         parts.append("In brackets: 95 % interval, by the bootstrap over frames (distances of sets: by the jackknife).")
