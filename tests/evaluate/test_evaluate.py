@@ -171,17 +171,15 @@ def test_the_first_frame_warms_up():
     assert one.mean_milliseconds() == {"translate": 3.0, "camera": 7.0}
 
 
-def test_intervals_need_several_frames():
-    ids = [[ROAD] * 6] * 2
+def test_intervals_need_five_frames():
     other = np.full_like(TARGET, ROAD)
-    alone, both = (
-        scored([frame_of()], fixed(ids)),
-        scored([frame_of(), frame_of("00/000007", camera_labels=other)], fixed(ids)),
-    )
-    assert "In brackets" not in report.as_dict(alone)["heading"] and "In brackets" in report.as_dict(both)["heading"]
-    found = {(one.sector, one.name): one for one in both.values(both.systems[0].metrics)}["camera", "accuracy"]
-    assert (found.value, found.low, found.high, found.frames) == (pytest.approx(16 / 22), 0.4, 1.0, 2)
-    assert "| accuracy |  | 0.727 (0.400 to 1.000) |" in report.table(report.as_dict(both))
+    frames = [frame_of(), *(frame_of(f"00/{number:06d}", camera_labels=other) for number in (7, 9, 11, 13))]
+    few, all_five = (scored(frames[:count], fixed([[ROAD] * 6] * 2)) for count in (4, 5))
+    assert "In brackets" not in report.as_dict(few)["heading"] and "In brackets" in report.as_dict(all_five)["heading"]
+    assert "| accuracy |  | 0.870 |" in report.table(report.as_dict(few))
+    found = {(one.sector, one.name): one for one in all_five.values(all_five.systems[0].metrics)}["camera", "accuracy"]
+    assert (found.value, found.high, found.frames) == (pytest.approx(52 / 58), 1.0, 5) and 0.4 < found.low < 0.8
+    assert "| accuracy |  | 0.897 (0." in report.table(report.as_dict(all_five))
 
 
 @pytest.mark.parametrize(
@@ -264,7 +262,7 @@ def test_images_are_compared_with_the_cameras():
     table = report.table(report.as_dict(evaluation))
     assert "no Inception weights" in report.as_dict(evaluation)["heading"] and "| FID |" not in table
     ssim = next(line for line in table.splitlines() if line.startswith("| SSIM"))
-    assert ssim.startswith("| SSIM |  | 1.000 (1.000 to 1.000) | 0.0") and ssim.endswith("| - |")
+    assert ssim.startswith("| SSIM |  | 1.000 | 0.0") and ssim.endswith("| - |")
     assert "against the camera's images (2)" in report.as_dict(evaluation)["heading"]
     assert "mIoU of" not in table
     json.dumps(report.as_dict(evaluation), allow_nan=False)
@@ -489,9 +487,7 @@ def test_flicker_of_what_stands_still():
     assert value_of(evaluation, "camera", "warping_error") == pytest.approx(0, abs=1e-12)
     assert value_of(evaluation, "camera", "warping_error", 1) == pytest.approx(3 * 0.2**2)
     assert value_of(evaluation, "panorama", "warping_error") == pytest.approx(0)
-    assert "| warping error x 1000 | ground truth 0.00 | 0.00 (0.00 to 0.00) | 120.00 (120.00 to 120.00) |" in (
-        report.table(report.as_dict(evaluation))
-    )
+    assert "| warping error x 1000 | ground truth 0.00 | 0.00 | 120.00 |" in (report.table(report.as_dict(evaluation)))
 
 
 def test_flicker_counts_where_the_flow_is_known():

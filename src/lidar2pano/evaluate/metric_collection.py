@@ -237,7 +237,7 @@ class MetricValue:
 
     sector, name  e.g. "camera", "miou".
     value         NaN if undefined;  low, high: its 95 % interval over resampled frames, for distances of sets by the
-                  jackknife (`accumulation.set_intervals`); NaN for a single frame and for sets of few images.
+                  jackknife (`accumulation.set_intervals`); NaN for fewer than LEAST_FRAMES.
     frames        number of frames (for distances of sets: images).
     """
 
@@ -363,9 +363,7 @@ class MetricCollection:
             if isinstance(metric, MeanIoU):
                 metric = metric.averaged_over(over.get(sector, ()))  # noqa: PLW2901
             for name, title in NAMES[key].items():
-                value, low, high, frames = interval(metric, name)
-                ends = {"low": low, "high": high} if frames > 1 else {}
-                yield MetricValue(sector=sector, name=title, value=value, frames=frames, **ends)
+                yield MetricValue(sector=sector, name=title, **interval(metric, name)._asdict())
 
     def rank(self, name: str) -> tuple[str, float] | None:
         """Return the metric for a frame's rank, and its value; None if it has none."""

@@ -23,7 +23,7 @@ SIDES = ("predicted", "target")
 
 Array = Tensor | np.ndarray
 
-LEAST_IMAGES = 5  # of a set whose distance has an interval
+LEAST_FRAMES = 5  # of a value with an interval
 SHARE = 0.975  # of Student's distribution below the upper end of a 95 % interval
 ANGLES = 1 << 16  # at which its density is summed
 BLOCK = 1 << 23  # multiplicities in memory at a time, 64 MB
@@ -244,7 +244,7 @@ def _rank(name: str) -> bytes:
 
 
 class Interval(NamedTuple):
-    """A value and the ends of its confidence interval; low and high are NaN without frames."""
+    """A value and the ends of its confidence interval; low and high are NaN of fewer than LEAST_FRAMES frames."""
 
     value: float
     low: float
@@ -265,8 +265,8 @@ def interval(
         raise ValueError(f"an interval needs a level in (0, 1) and a resample, not {level} and {resamples}")
     sums = metric.sums()
     frames, value = len(sums), float(_value(metric, sums.sum(0), name))
-    if not frames:
-        return Interval(value, np.nan, np.nan, 0)
+    if frames < LEAST_FRAMES:
+        return Interval(value, np.nan, np.nan, frames)
     generator, block = np.random.default_rng(seed), max(1, BLOCK // frames)
     counts = [min(block, resamples - start) for start in range(0, resamples, block)]
     drawn = np.concatenate([_value(metric, multiplicities(frames, count, generator) @ sums, name) for count in counts])
@@ -279,10 +279,10 @@ def set_intervals(metric: SetMetric, *, most: int = 10) -> dict[str, Interval]:
     """Compute 95 % intervals of a set distance's values by the jackknife over groups of images.
 
     Shao and Tu 1995, section 2.3, with Student's t: value -+ t ((G - 1) / G sum (v_g - mean)^2)^(1/2) over up to `most`
-    groups G; NaN for fewer than LEAST_IMAGES images, and for undefined values. Distances never are below zero.
+    groups G; NaN for fewer than LEAST_FRAMES images, and for undefined values. Distances never are below zero.
     """
     values, images = metric.values(), len(metric)
-    groups = metric.groups(most) if images >= LEAST_IMAGES else []
+    groups = metric.groups(most) if images >= LEAST_FRAMES else []
     parts = [metric.without(group).values() for group in groups]
     intervals: dict[str, Interval] = {}
     for name, value in values.items():
