@@ -264,6 +264,8 @@ def data(here):
         ("--out sheets", "--out is for images of --worst or --leave-out; add one of them"),
         ("--worst -1", "Invalid value for '--worst': Input should be greater than or equal to 0"),
         ("--metrics ssmi", "--metrics: nothing is called 'ssmi'; there is camera, classes"),
+        ("--metrics=", "--metrics: empty list; choose from points, classes, pictures"),
+        ("--metrics ,", "--metrics: empty list; choose from points, classes, pictures"),
         ("--sensor os1", "no sensor 'os1'"),
         ("--sdnet none", "no weight file none"),
         ("--inception none", "none: no such file; FID needs the weights of Inception-v3"),

@@ -210,7 +210,7 @@ def test_a_steady_system_uses_poses_of_frames_that_follow_each_other():
 
 
 def test_metrics_are_chosen_by_words():
-    every = MetricConfig.parse("", device="cpu")
+    every = MetricConfig.parse(device="cpu")
     assert every.groups == DEFAULT_GROUPS and "roll" not in every.groups and every.colours
     some = MetricConfig.parse("classes, points,camera", device="cpu")
     assert (some.groups, some.sectors, some.colours) == (("points", "classes"), ("camera",), False)
@@ -222,7 +222,7 @@ def test_metrics_are_chosen_by_words():
 @pytest.mark.parametrize(
     ("words", "colours", "sectors"),
     [
-        ("", True, {"camera", "panorama", "points"}),
+        (None, True, {"camera", "panorama", "points"}),
         ("classes", False, {"camera", "panorama"}),
         ("points", False, {"points"}),
         ("camera", True, {"camera", "points"}),

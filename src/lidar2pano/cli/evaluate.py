@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 MetricsOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="LIST",
         help="Of points, classes, pictures, depth, seams, time, roll and camera, panorama, with commas between; all but"
@@ -72,7 +72,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         Path | None, typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, or surround cameras.")
     ] = None,
     split: Annotated[str, typer.Option(metavar="NAME", help="One of its splits.")] = "val",
-    metrics: MetricsOption = "",
+    metrics: MetricsOption = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor of the scans, e.g. pandar64.")] = "",
     sdnet: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A camera segmenter: FSD, and re-segmentation mIoU.")

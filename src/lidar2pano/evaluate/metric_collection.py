@@ -99,17 +99,20 @@ class MetricConfig:
 
     @classmethod
     def parse(
-        cls, words: str = "", *, inception: Path | None = None, sdnet: Path | None = None, device: str = "auto"
+        cls, words: str | None = None, *, inception: Path | None = None, sdnet: Path | None = None, device: str = "auto"
     ) -> Self:
         """Return the configuration of "points,classes,camera"; without a group all but the roll, without a sector both.
 
+        words      None: all but the roll, in both sectors.
         inception  file of Inception's published weights; None: the one in torch hub's cache folder, if there.
         sdnet      weight file or run of a camera segmenter.
-        Raises InputError for unknown words and for unusable files.
+        Raises InputError for unknown or no words and for unusable files.
         """
         inception_file = find_inception(inception)
         camera_file = None if sdnet is None else _camera_file(sdnet)
-        named = [word.strip() for word in words.split(",") if word.strip()]
+        named = [word.strip() for word in (words or "").split(",") if word.strip()]
+        if words is not None and not named:
+            raise InputError(f"--metrics: empty list; choose from {', '.join((*GROUPS, *SECTORS))}")
         for word in named:
             if word not in (*GROUPS, *SECTORS):
                 raise InputError(f"--metrics: nothing is called {word!r}{closest(word, (*GROUPS, *SECTORS))}")

@@ -249,7 +249,7 @@ def reproduce(plan: Plan) -> Outcome:
         except (InputError, FloatingPointError) as error:
             outcome.failures[part] = str(error)
             log.warning("%s: not trained: %s", part, error)
-    config = MetricConfig.parse("", inception=plan.inception, sdnet=plan.sdnet, device=plan.device)
+    config = MetricConfig.parse(inception=plan.inception, sdnet=plan.sdnet, device=plan.device)
     inputs = _scoring_inputs(plan, scored, config)
     for name, row in plan.rows.items():
         missing = [part for part in row.parts if part != "oracle" and part not in files]
