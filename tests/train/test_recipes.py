@@ -10,6 +10,7 @@ from typing import Literal
 
 import pytest
 
+from lidar2pano.cli.train import brief
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, settings_of
 from lidar2pano.train.environment import shared
@@ -215,3 +216,10 @@ def test_recipes_are_listed_without_torch():
 @pytest.mark.parametrize("module", MODULES)
 def test_recipes_are_named_where_they_are_made(module):
     assert tuple(makers(module)) == MODULES[module]
+
+
+def test_the_first_lines_of_a_run_tell_its_limits():
+    mini = recipe_named("titan-pano-mini")
+    steps = mini.training.steps
+    assert f"{steps} steps or 24 minutes, batches of 4, seed 0" in brief(mini)
+    assert f"{steps} steps, no limit of time, batches of 4, seed 0" in brief(override(mini, "training.minutes=0"))

@@ -63,9 +63,9 @@ def brief(recipe: Recipe) -> str:
         lines.append(f"  {name}: {network.model}, {optimizer.algorithm} {optimizer.rate:g} {optimizer.schedule}{start}")
     training = recipe.training
     limit = f" or {training.epochs:g} epochs" if training.epochs else ""
-    limit += f" or {training.minutes:g} minutes" if training.minutes else ""
+    limit += f" or {training.minutes:g} minutes" if training.minutes else ", no limit of time"
     lines.append(
-        f"  {training.steps} steps{limit} of {training.batch}, seed {training.seed}, {training.precision};"
+        f"  {training.steps} steps{limit}, batches of {training.batch}, seed {training.seed}, {training.precision};"
         f" data: {' + '.join(recipe.data.train)}, scored on {' + '.join(recipe.data.val)}"
     )
     return "\n".join(lines)

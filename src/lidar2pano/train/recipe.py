@@ -125,8 +125,8 @@ class Training:
     """The run. Sizes are totals over all devices.
 
     steps        number of optimiser steps; epochs: passes over the training samples; minutes: wall clock over all
-                 sittings together (0 = no limit). Whichever comes first ends the run, and learning rates follow
-                 whichever is further.
+                 sittings together. Whichever comes first ends the run, and learning rates follow whichever is further;
+                 0 epochs or minutes are no limit.
     batch        samples per step, in `accumulate` micro-batches.
     workers      processes per device for samples (0 = the training process does).
     precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights, but in float32 on a CPU.
