@@ -580,6 +580,8 @@ def test_a_place_that_cannot_be_written_to(root, prepare):
         (["--teacher", "{sdnet}", "--scales", "0.5,2"], "scales [0.5, 2.0] cannot be: name positive factors"),
         (["--teacher", "{sdnet}", "--unsure", "1"], "--unsure 1 is no probability"),
         (["--teacher", "{sdnet}", "--unsure", "nan"], "--unsure nan is no probability"),
+        (["--unsure", "7"], "--unsure 7 is no probability"),
+        (["--scales", "9"], "--scales 9 cannot be: name factors up to 4, each once"),
         (["--teacher", "nowhere"], "no camera teacher 'nowhere': name weights of sdnet, a run's folder, mask2former:P"),
         (["--teacher", "{segmenter}"], "{segmenter} has weights of another network: 'salsanext' instead of 'sdnet'"),
         (["--teacher", "mask2former:a/b"], "a/b: neither a folder nor a model in the hub's cache"),

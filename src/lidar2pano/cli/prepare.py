@@ -68,7 +68,9 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
         raise InputError(f"--camera-labels-folder {folders[1]}: is the folder for the labels of scans; choose another")
     factors = _factors(scales)
     from lidar2pano.prepare import camera_teacher, frames_to_label, lidar_teacher
+    from lidar2pano.prepare.teachers import check_camera_settings
 
+    check_camera_settings(factors, min_probability)
     teachers: list[Teacher] = []
     if lidar != NO_TEACHER:
         teachers.append(lidar_teacher(lidar, folder=folders[0], device=device))

@@ -172,10 +172,7 @@ def camera_teacher(
     Raises InputError when the weights or the device are not there, or a setting cannot be.
     """
     pick_device(device)
-    if not 0 <= min_probability < 1:
-        raise InputError(f"--unsure {min_probability:g} is no probability; choose one from 0 up to, not including, 1")
-    if any(not 0 < scale <= 4 for scale in scales) or len(set(scales)) < len(scales):
-        raise InputError(f"--scales {','.join(f'{s:g}' for s in scales)} cannot be: name factors up to 4, each once")
+    check_camera_settings(scales, min_probability)
     model_type, _, place = spec.partition(":")
     if model_type in MODEL_TYPES and place:
         source = local_folder(place)
@@ -196,6 +193,14 @@ def camera_teacher(
         scales=tuple(scales),
         min_probability=min_probability,
     )
+
+
+def check_camera_settings(scales: Sequence[float], min_probability: float) -> None:
+    """Raise InputError for settings of `camera_teacher` out of range."""
+    if not 0 <= min_probability < 1:
+        raise InputError(f"--unsure {min_probability:g} is no probability; choose one from 0 up to, not including, 1")
+    if any(not 0 < scale <= 4 for scale in scales) or len(set(scales)) < len(scales):
+        raise InputError(f"--scales {','.join(f'{s:g}' for s in scales)} cannot be: name factors up to 4, each once")
 
 
 def _sdnet_file(name: str) -> Path:
