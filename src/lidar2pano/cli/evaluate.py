@@ -98,7 +98,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.evaluate.folds import Fold
     from lidar2pano.hardware import keep_buffers
 
-    if worst and not out:
+    if worst and not (out or folds or leave_out):
         raise InputError("--worst needs a folder for its images; add --out DIR")
     if out and not worst and not leave_out:
         raise InputError("--out is for images of --worst or --leave-out; add one of them")
