@@ -39,7 +39,7 @@ VARIANTS: dict[str, Mapping[str, Any]] = {
     "DOUBT 1": {"DOUBT": 1.0},
     "SAME 0.1": {"SAME": 0.1},
     "SAME 1": {"SAME": 1.0},
-    "THIN none": {"THIN": ()},
+    "ANY 0.3: what stands is averaged where its distance agrees": {"ANY": 0.3},
     "FADED 0": {"FADED": 0.0},
 }
 

@@ -21,9 +21,8 @@ LEAST_IMAGES = 3  # images that the previous ones count for at least: the mean o
 DOUBT = 0.5  # scans that are subtracted from a count for each scan that contradicts it
 SKY = COMMON15.id_of("sky")
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
-THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # whose fading stands out
 ANY = 1.0  # such a share that all depths agree
-FADED = 0.75  # weight of the previous image where it is not averaged with the newest
+FADED = 0.75  # weight of the previous image where a class has changed at the same distance
 
 
 class Surroundings(NamedTuple):
@@ -165,16 +164,14 @@ def fused(now: Surroundings, previous: Surroundings, view: View) -> Surroundings
 def smoothed(now: PreviousFrame, previous: PreviousFrame, view: View) -> PreviousFrame:
     """`now` with its image averaged with those before, which are warped to where the same surfaces are now.
 
-    Poses and distances give the warp (geometry.flow.ego_flow). A pixel is averaged where both panoramas agree on its
-    distance, and on its class if either may move. Images before count for `LEAST_IMAGES` at least, the newest for
-    1 / `MOST` at least. Elsewhere the mean starts again, but what was there fades and does not jump: it has the weight
-    `FADED`. What may move, and poles and signs beside another class, would leave a trail of themselves: they fade only
-    where the distance agrees.
+    Poses and distances give the warp (geometry.flow.ego_flow). A pixel is averaged unless its class has changed and one
+    of both may move: what has left would leave a trail of itself. Where both panoramas agree on its distance, it fades
+    and does not jump: it has the weight `FADED`. Images before count for `LEAST_IMAGES` at least, the newest for
+    1 / `MOST` at least.
     view  the raster H x W of both.
     """
     T_before_now = relative_pose(previous.T_world_sensor, now.T_world_sensor)
     flow, agreeing = ego_flows(now.parallax_distance_m, previous.parallax_distance_m, T_before_now, view, (ANY, SAME))
-    agreed = agreeing.known
     rows, columns = torch.meshgrid(
         torch.arange(view.rows, device=flow.shift.device),
         torch.arange(view.columns, device=flow.shift.device),
@@ -183,13 +180,11 @@ def smoothed(now: PreviousFrame, previous: PreviousFrame, view: View) -> Previou
     before_row = (rows + flow.shift[1].round().long()).clamp(0, view.rows - 1)
     before_column = (columns + flow.shift[0].round().long()).remainder(view.columns)
     ids = previous.ids[before_row, before_column]
-    class_pairs = torch.stack([ids, now.ids])
-    stands, thin = ~may_move(class_pairs).any(0), torch.isin(class_pairs, class_pairs.new_tensor(THIN)).any(0)
-    unchanged = agreed & ((ids == now.ids) | stands)
+    stands = ~may_move(torch.stack([ids, now.ids])).any(0)
+    unchanged = flow.known & ((ids == now.ids) | stands)
     count = previous.count[before_row, before_column].clamp(max=MOST - 1) * unchanged
-    fades = flow.known & (agreed | (stands & ((ids == now.ids) | ~thin)))
     counted = count.clamp(min=LEAST_IMAGES)
-    weights = torch.where(unchanged, counted / (counted + 1), FADED * fades)
+    weights = torch.where(unchanged, counted / (counted + 1), FADED * agreeing.known)
     weight, shift = (interpolate(part[None], scale_factor=2.0) for part in (weights[None], 2 * flow.shift))
     past = warp(previous.image, shift, circular=True, cubic=True).clamp_(-1, 1)
     return now._replace(image=torch.lerp(now.image, past, weight), count=count + 1)

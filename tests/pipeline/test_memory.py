@@ -6,7 +6,7 @@ import torch
 
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
-from lidar2pano.memory import DOUBT, FADED, LEAST_IMAGES, MOST, PreviousFrame, Surroundings, fused, smoothed
+from lidar2pano.memory import DOUBT, LEAST_IMAGES, MOST, PreviousFrame, Surroundings, fused, smoothed
 from lidar2pano.views import View
 from poses import somewhere
 
@@ -103,19 +103,25 @@ def test_a_step_forward_carries_by_distance(world):
 
 
 @pytest.mark.parametrize(
-    ("class_id", "distance_m", "weight"),
-    [(CAR, 5.0, 0.0), (POLE, 5.0, 0.0), (ROAD, 5.0, FADED), (TREE, 5.0, FADED), (CAR, 10.0, FADED)],
+    ("class_id", "distance_m", "count", "weight"),
+    [(CAR, 5.0, 1, 0.0), (CAR, 10.0, 1, 0.75), (POLE, 5.0, 2, 0.75), (ROAD, 5.0, 2, 0.75), (TREE, 5.0, 2, 0.75)],
 )
-def test_where_something_changed_the_mean_begins_again(class_id, distance_m, weight):
-    """What was there is gone at once where it would leave a trail; elsewhere it fades."""
+def test_a_class_that_may_move_begins_again(class_id, distance_m, count, weight):
+    """It is gone at once at another distance, where it would leave a trail; what stands is averaged."""
     ids, now_m = torch.full((24, 96), ROAD, dtype=torch.uint8), torch.full((24, 96), 10.0)
     ids[5:9, 40:60], now_m[5:9, 40:60] = class_id, distance_m
     now = frame(noise(0), ids=ids, distance_m=now_m)
     for one, other in ((now, frame(noise(1))), (frame(noise(0)), now._replace(image=noise(1)))):
         memory = smoothed(one, other, VIEW)
-        assert (memory.count[5:9, 40:60] == 1).all() and memory.count[12:, :].min() == 2
+        assert (memory.count[5:9, 40:60] == count).all() and memory.count[12:, :].min() == 2
         mixed = torch.lerp(noise(0), noise(1), weight)
         assert torch.allclose(memory.image[..., 10:18, 80:120], mixed[..., 10:18, 80:120], atol=1e-3)
+
+
+def test_a_car_whose_distance_wavers_is_averaged():
+    ids = torch.full((24, 96), CAR, dtype=torch.uint8)
+    near = frame(noise(0), ids=ids, distance_m=torch.full((24, 96), 5.0))
+    assert (smoothed(near, frame(noise(1), ids=ids), VIEW).count == 2).all()
 
 
 def test_the_sky_is_smoothed_by_the_turn_alone():
