@@ -142,17 +142,15 @@ def test_json_stays_one_line_per_scan(here, run, opened):
     assert json.loads(line)["outputs"] == ["panoramas/a.png", "panoramas/a.ply"]
 
 
-@pytest.mark.parametrize(
-    ("option", "extra", "module"), [("--video", "recordings", "av"), ("--rerun", "recordings", "rerun")]
-)
-def test_mistakes_are_found_before_the_work(here, run, monkeypatch, option, extra, module):
+@pytest.mark.parametrize(("option", "module", "ending"), [("--video", "av", ".mp4"), ("--rerun", "rerun", ".rrd")])
+def test_mistakes_are_found_before_the_work(here, run, monkeypatch, option, module, ending):
     write_scan(here / "a.bin")
     code, _, err = run("translate", "a.bin", option, ".")
     assert code == 2 and err == [f"lidar2pano: .: is a folder; name a file for {option}"]
     monkeypatch.setitem(sys.modules, module, None)
-    code, out, err = run("translate", "a.bin", option, "a.x")
+    code, out, err = run("translate", "a.bin", option, f"a{ending}")
     assert (code, out) == (2, "") and err == [
-        f"lidar2pano: {option} needs the extra '{extra}': pip install 'lidar2pano[{extra}]'"
+        f"lidar2pano: {option} needs the extra 'recordings': pip install 'lidar2pano[recordings]'"
     ]
     assert [path.name for path in here.iterdir()] == ["a.bin"]
 

@@ -115,9 +115,9 @@ def common_files(scans: Sequence[Path], page: Path | None, video: Path | None, r
     """Return the requested files about all scans; InputError for an unwritable one, or the ending of another format."""
     for file, option, ending in ((page, "--out", ""), (video, "--video", ".mp4"), (rerun, "--rerun", ".rrd")):
         if file:
+            check_file(file, option)
             if ending not in ("", file.suffix.lower()):
                 raise InputError(f"{option} {file}: is written as {ending}; name a file with this ending")
-            check_file(file, option)
     return OutputFiles(page=page, title=title_of(scans), video=video, rerun=rerun)
 
 

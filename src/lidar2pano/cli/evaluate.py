@@ -112,8 +112,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     elif leave_out:
-        others = {"--metrics": metrics, "--csv": as_csv, "--worst": worst, "--pairs": pairs}
-        refuse_beside("--leave-out", others | {"--sdnet": sdnet, "--inception": inception, "--sensor": sensor})
+        unused = {"--metrics": metrics, "--csv": as_csv, "--worst": worst, "--pairs": pairs}
+        refuse_beside("--leave-out", unused | {"--sdnet": sdnet, "--inception": inception, "--sensor": sensor})
         loader = partial(load_reaching, device=device, engine=engine, elevation=elevation)
         leave_out_cameras(weights, data, split, leave_out, out, as_json, config.patches, loader)
     else:

@@ -288,12 +288,12 @@ def left_out(root: Path, names: Iterable[str]) -> str:
     """
     names = set(names)
     folders = {name.rpartition("/")[0] for name in names}
-    others = {name.rpartition("/")[0] for name in names if _ending(name) not in TEXT_ENDINGS}
+    scan_folders = {name.rpartition("/")[0] for name in names if _ending(name) not in TEXT_ENDINGS}
     groups: dict[tuple[str, str], list[str]] = {}
     for name in names_below(root, deep=folders != {""}):
         (folder, _, file), ending = name.rpartition("/"), _ending(name)
-        known = ending in ENDINGS or ending in RECORDINGS or (ending in TEXT_ENDINGS and folder not in others)
-        if folder in folders and name not in names and not known and not file.startswith("."):
+        is_usual = ending in ENDINGS or ending in RECORDINGS or (ending in TEXT_ENDINGS and folder not in scan_folders)
+        if folder in folders and name not in names and not is_usual and not file.startswith("."):
             groups.setdefault((folder, ending), []).append(name)
     counts = Counter[str]()
     for (_, ending), group in groups.items():
