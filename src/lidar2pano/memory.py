@@ -26,7 +26,7 @@ FADED = 0.75  # weight of the previous image where a class has changed at the sa
 
 
 class Surroundings(NamedTuple):
-    """Classes and depths averaged over scans, on the scene's raster H x W.
+    """Classes averaged over scans, and depths, on the scene's raster H x W.
 
     probabilities   (1, classes, H, W) float32;  depth_m: (1, H, W) float32 metres from the view's origin.
     count           (H, W) float32: how many scans each pixel is the mean of.

@@ -322,7 +322,7 @@ class Pipeline:
     def remember(self, memory: Memory, scene: Scene, pose: np.ndarray | None, timer: Timer) -> tuple[Memory, Scene]:
         """Fuse a scene with those of the previous scans; returns the memory with it, and the fused scene.
 
-        pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, classes and depths are averaged over time
+        pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, classes are averaged over time
               (memory.fused), and so is the image (memory.smoothed). Without it the stream begins again.
         """
         memory = replace(memory, view=self.view if self.fits else None)
