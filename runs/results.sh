@@ -50,7 +50,7 @@ step() {
     nuscenes) scores nuscenes streets world --data "$nuscenes" --split all ;;
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
-    memory) text memory python "$(dirname "$0")/steady_ablation.py" "$towns-drive" streets world ;;
+    memory) text memory python "$(dirname "$0")/steady_ablation.py" "$towns-drive" streets ;;
     times) idle && text times lidar2pano bench --weights streets --runs 9 ;;
     page) python "$(dirname "$0")/results.py" && python "$(dirname "$0")/card_scores.py" ;;
     *) echo "$0: no step $1" >&2 && return 2 ;;
