@@ -83,7 +83,8 @@ def rows(root: Path, split: str, weights: str, only: str) -> Iterator[str]:
             yield f"| {' | '.join([weights, name, *cells])} |"
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", type=Path)
     parser.add_argument("weights", nargs="+")
@@ -95,3 +96,7 @@ if __name__ == "__main__":
     for name in options.weights:
         for row in rows(options.root, options.split, name, options.only):
             print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
