@@ -51,7 +51,7 @@ step() {
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
     memory) text memory python "$(dirname "$0")/steady_ablation.py" "$towns-drive" streets ;;
-    times) idle && text times lidar2pano bench --weights streets --runs 9 ;;
+    times) idle && text times lidar2pano bench --weights streets --engine torch --runs 9 ;;
     page) python "$(dirname "$0")/results.py" && python "$(dirname "$0")/card_scores.py" ;;
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
