@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import PurePosixPath
 
-from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, Entry, ScanKey, Shard
+from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
 from lidar2pano.drives.folders import STORAGE, Source, check_topic, clashing, find_sources, no_scan, select_files
 from lidar2pano.errors import InputError
@@ -16,7 +16,8 @@ from lidar2pano.recordings.reading_process import confined_playback
 from lidar2pano.recordings.recorded_scans import METADATA
 
 ALL = ReadOptions()
-STEM_ENDINGS = (".segments", ".depth")  # of a bulk run's outputs
+# Endings of the stems of a run's outputs: ".segments" of ".segments.png"
+STEM_ENDINGS = tuple(PurePosixPath(suffix).stem for suffix in SUFFIXES.values() if suffix.count(".") > 1)
 
 
 def entries(
