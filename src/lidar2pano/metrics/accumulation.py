@@ -10,6 +10,7 @@ import hashlib
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, MutableMapping
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import ClassVar, NamedTuple, Self
@@ -295,6 +296,7 @@ def set_intervals(metric: SetMetric, *, most: int = 10) -> dict[str, Interval]:
     return intervals
 
 
+@cache
 def student_quantile(degrees: int) -> float:
     """Return the quantile SHARE of Student's t distribution with so many degrees of freedom.
 
