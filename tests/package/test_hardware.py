@@ -35,6 +35,19 @@ def test_kept_buffers_are_not_faulted_in_again():
     assert int(twice) < int(without) / 10, "twice is once"
 
 
+@pytest.mark.parametrize(
+    ("amx", "avx512", "name", "faster"),
+    [(True, True, "Intel Xeon", True), (False, True, "Intel Xeon", False), (False, True, "AMD Zen5", True)]
+    + [(False, False, "AMD Zen3", False), (False, True, "", True)],
+)
+def test_bfloat16_counts_where_it_is_faster_than_float32(monkeypatch, amx, avx512, name, faster):
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: avx512)
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"cpu_name": name} if name else {}, raising=False)
+    assert hardware.has_bfloat16(torch.device("cpu")) is faster
+    assert not hardware.has_bfloat16(torch.device("meta"))
+
+
 def test_a_stage_entered_again_adds_its_time(monkeypatch):
     clock_s = iter([0.0, 0.5, 1.0, 3.0, 3.0, 3.25])
     monkeypatch.setattr(hardware.time, "perf_counter", lambda: next(clock_s))
