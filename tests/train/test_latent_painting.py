@@ -384,7 +384,7 @@ def test_texture_is_learned_through_all_steps_by_flow_and_decoder(place):
         loss.backward()
         learned = {name.split(".")[0] for name, part in task.networks[role].named_parameters() if part.grad is not None}
         assert learned == ({"heads"} if role == "critic" else {"flow", "decoder"})
-    assert set(task.logs) >= {"flow", "pooled", "perceptual", "statistics", "adversarial"}
+    assert set(task.logs) >= {"flow", "pooled", "held", "perceptual", "statistics", "adversarial"}
     dark = batch._replace(shown=torch.zeros_like(batch.shown))
     list(task.updates(dark))
     assert task.logs["pooled"] == task.logs["perceptual"] == task.logs["statistics"] == 0
@@ -411,30 +411,72 @@ def test_a_scene_without_a_photograph_is_judged_by_patches_and_critic_alone(plac
 
 
 def test_colours_of_a_scene_without_a_photograph_are_those_of_its_next_painting(place):
-    """Of the same world, turned by some pixels: what depends on the scene alone has no loss, what changes has."""
-    options = ("options.augment_probability=0", "options.unpaired_probability=1", "options.pooled=1")
-    task = textured(place, *options, looks=("photograph", "day"))
+    """A photograph's are its own, above and below what a camera shows those that were painted."""
+    task = textured(place, looks=("photograph", "day"))
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(3)])
     paired = torch.tensor([False, True, False])
-    batch = as_photographs(batch._replace(look=torch.tensor([1, 0, 1])), ~paired)
-    changes = iter((0.0, 0.5))
-
-    def painted(samples):
-        scene = samples.conditions[:, 23:26].repeat_interleave(2, -1).repeat_interleave(2, -2)
-        return scene + next(changes, 0)
-
-    task.painted = painted
-    made, photographed = painted(batch), batch.picture[1]
-    for seed in range(3):
-        torch.manual_seed(seed)
-        unpaired = type(batch)(*(part[::2] for part in batch))
-        assert torch.equal(task._painted_anew(unpaired), made[::2] + 0.5 * (seed == 0))
+    made, photographed = torch.rand_like(batch.picture), batch.picture[1]
     pooled = torch.nn.functional.avg_pool2d
     column = batch.shown[1].any(0)
     error = (pooled(made[1], 4) - pooled(torch.where(column, photographed, made[1]), 4)).square().mean()
-    torch.testing.assert_close(task._pooled_loss(made, batch, paired), error / 3)
-    changes = iter((0.5,))
-    torch.testing.assert_close(task._pooled_loss(made, batch, paired), (error + 2 * 0.5**2) / 3)
+    torch.testing.assert_close(task._pooled_loss(made, made.clone(), batch, paired), error / 3)
+    anew = made + torch.tensor([0.5, 9.0, 0.5])[:, None, None, None]
+    torch.testing.assert_close(task._pooled_loss(made, anew, batch, paired), (error + 2 * 0.5**2) / 3)
+
+
+def test_a_painting_anew_is_of_a_sensor_that_has_turned(place):
+    """What depends on the scene alone stays; noise is carried to the nearest pixel, or new; half of the points stay."""
+    task = textured(place)
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    noise, same = torch.randn(2, 4, 12, 24), torch.tensor([True, False])
+
+    def repainted(paint, seed):
+        torch.manual_seed(seed)
+        task.painted = paint
+        turn = int(torch.randint(16, ()))
+        torch.manual_seed(seed)
+        return turn, task._painted_anew(batch, noise, Clues.empty(noise), same)
+
+    def of_noise(samples, noise, clues):
+        return noise[:, :3].repeat_interleave(8, -1).repeat_interleave(8, -2)
+
+    def of_channels(part):
+        return lambda samples, *_: samples.conditions[:, part].repeat_interleave(2, -1).repeat_interleave(2, -2)
+
+    turns = set()
+    for seed in range(8):
+        turn, anew = repainted(of_noise, seed)
+        turns.add(turn)
+        before = of_noise(batch, noise, None)
+        assert torch.equal(anew[0], before[0].roll(8 * round(turn / 4) - 2 * turn, -1))
+        assert not torch.equal(anew[1], before[1]) and anew[1].std() == pytest.approx(1, abs=0.2)
+        for scene in (slice(3), slice(16, 19), slice(24, 26)):
+            assert torch.equal(repainted(of_channels(scene), seed)[1], of_channels(scene)(batch))
+        measured = of_channels(slice(22, 24))
+        kept = repainted(measured, seed)[1] != 0
+        assert float(kept.sum() / (measured(batch) != 0).sum()) == pytest.approx(0.5, abs=0.05)
+        assert torch.equal(repainted(measured, seed)[1], measured(batch) * kept)
+    assert len(turns) > 3
+
+
+def test_a_painting_is_held_where_nothing_of_a_photograph_is_given(place):
+    options = ("options.augment_probability=0", "options.held=2", "options.style_probability=0")
+    task = textured(place, *options)
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    list(task.updates(batch))
+    assert task.logs["held"] > 0
+    changes = iter((0.0, 0.5))
+    painted = task.painted
+    noise, clues = torch.zeros_like(batch.latents), Clues.empty(batch.latents)
+    still = painted(batch, noise, clues).detach()
+    task.painted = lambda *_: still + next(changes)
+    list(task.updates(batch))
+    turned = min(float((still - (still + 0.5).roll(-2 * turn, -1)).square().mean()) for turn in range(16))
+    assert float(task.logs["held"]) >= 2 * turned * 0.99
+    given = Clues(torch.ones_like(clues.photograph), clues.style)
+    task.clues, task.painted = lambda *_: given, painted
+    list(task.updates(batch))
+    assert task.logs["held"] == 0
 
 
 def test_samples_that_become_photographs_show_nothing(sectors, place):

@@ -21,10 +21,10 @@ from lidar2pano.losses import Patches, PatchStatistics, pooled
 from lidar2pano.losses.adversarial import DiffAugment
 from lidar2pano.models.autoencoder import FACTOR
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
-from lidar2pano.models.latent_painter import CLASSES, CONDITIONS, FOLD, STRIDE
+from lidar2pano.models.latent_painter import CLASSES, CONDITIONS, FOLD, MEASUREMENT, REMISSION, STRIDE, Clues
 from lidar2pano.train.autoencoding import Texture
 from lidar2pano.train.latent_frames import LatentSample, PicturedFrames
-from lidar2pano.train.latent_painting import LatentPainting, LatentPaintingOptions, latent_painter
+from lidar2pano.train.latent_painting import LatentPainting, LatentPaintingOptions, latent_painter, masked_error
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, on_two_cores
 
 MATCHED = 3  # depths of features whose distributions are matched
@@ -39,6 +39,8 @@ class LatentTextureOptions(LatentPaintingOptions):
     perceptual   weight of the mean absolute error of frozen features, each in units of its deviation.
     pooled       weight of the squared error of colours, means of 4 x 4 pixels; also above and below the photograph.
                  Without a photograph: of their change from one painting of the scene to another.
+    held         weight of the squared error of pixels between two paintings of a scene from the same noise, of a
+                 sensor that has turned by some pixels and measures other points.
     statistics   weight of the distance of patches' features from the distribution of their class in photographs.
     adversarial  weight of the hinge loss of the critic.
     augment_probability  of each kind of DiffAugment, of painted and real pictures alike.
@@ -54,6 +56,7 @@ class LatentTextureOptions(LatentPaintingOptions):
     flow: float = 1.0
     perceptual: float = 2.0
     pooled: float = 6.0
+    held: float = 24.0
     statistics: float = 4.0
     adversarial: float = 0.6
     augment_probability: float = 0.4
@@ -78,8 +81,16 @@ class LatentTexture(LatentPainting):
         loss = options.flow * self.flow_loss(batch)
         paired = self._paired(batch.look)
         batch = as_photographs(batch, ~paired)
-        made = self.painted(batch)
-        terms = {"pooled": options.pooled * self._pooled_loss(made, batch, paired)}
+        clues = self.clues(batch, self.painter.decoder.normalised(batch.latents))
+        noise = torch.randn_like(batch.latents)
+        made = self.painted(batch, noise, clues)
+        same = paired | (torch.rand(len(made), device=made.device) < 0.5)
+        anew = self._painted_anew(batch, noise, clues, same)
+        still = same & ~clues.photograph[:, -1].any(2).any(1)
+        terms = {
+            "pooled": options.pooled * self._pooled_loss(made, anew, batch, paired),
+            "held": options.held * masked_error(made, anew, still[:, None, None].expand_as(batch.shown)),
+        }
         real = torch.where(batch.shown[:, None], batch.picture, made.detach())
         augment = DiffAugment.drawn(len(made), options.augment_probability)
         shown = batch.shown[:, None]
@@ -113,7 +124,7 @@ class LatentTexture(LatentPainting):
         shares = self.shares(look)[:, :, None, None, None] * conditions[:, None, CLASSES]
         return shares.flatten(1, 2)
 
-    def _pooled_loss(self, made: Tensor, batch: LatentSample, paired: Tensor) -> Tensor:
+    def _pooled_loss(self, made: Tensor, anew: Tensor, batch: LatentSample, paired: Tensor) -> Tensor:
         """Return the squared error of pooled colours; above and below what a camera shows, its last pixels count.
 
         (Where nothing counted, the rows at the foot became a bright strip.) A sample without a photograph has for its
@@ -121,23 +132,26 @@ class LatentTexture(LatentPainting):
         """
         columns = batch.shown.any(1, keepdim=True)[:, None]
         goal = torch.where(columns, batch.picture, made.detach())
-        if not paired.all():
-            goal[~paired] = self._painted_anew(LatentSample(*(part[~paired] for part in batch)))
-        return mse_loss(pooled(made), pooled(goal))
+        return mse_loss(pooled(made), pooled(torch.where(paired[:, None, None, None], goal, anew)))
 
     @torch.no_grad()
-    def _painted_anew(self, batch: LatentSample) -> Tensor:
-        """Return pictures from new noise, as of a sensor that has turned by some pixels."""
-        turn = int(torch.randint(STRIDE, ()))
-        turned = self.painted(batch._replace(conditions=batch.conditions.roll(turn, -1)))
-        return turned.roll(-turn * (FACTOR // FOLD), -1)
+    def _painted_anew(self, batch: LatentSample, noise: Tensor, clues: Clues, same: Tensor) -> Tensor:
+        """Return pictures as of a sensor that has turned by some pixels and measures half of the points.
 
-    def painted(self, batch: LatentSample) -> Tensor:
-        """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from new noise."""
+        The noise turns with the sensor, as it does in a drive, where `same` (B,) is true; elsewhere it is new.
+        """
+        turn = int(torch.randint(STRIDE, ()))
+        conditions = batch.conditions.roll(turn, -1)
+        kept = torch.rand_like(conditions[:, :1]) < 0.5
+        conditions[:, MEASUREMENT.start : REMISSION + 1] *= kept
+        turned = noise.roll(round(turn / FOLD), -1)
+        turned = torch.where(same[:, None, None, None], turned, torch.randn_like(noise))
+        return self.painted(batch._replace(conditions=conditions), turned, clues).roll(-turn * (FACTOR // FOLD), -1)
+
+    def painted(self, batch: LatentSample, noise: Tensor, clues: Clues) -> Tensor:
+        """Return pictures (B, 3, 2H, 2W) float32, about in [-1, 1], from noise and clues."""
         conditions = batch.conditions.contiguous(memory_format=torch.channels_last)
         with fast_arithmetic(conditions.device):
-            clues = self.clues(batch, self.painter.decoder.normalised(batch.latents))
-            noise = torch.randn_like(batch.latents)
             latents = self.painter.latents_of(conditions, self.shares(batch.look), noise, clues)
             return self.painter.decoder(latents).float()
 
