@@ -12,8 +12,7 @@ Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `in
 
 from __future__ import annotations
 
-import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
@@ -45,27 +44,13 @@ def find_inception(path: Path | str | None = None) -> Path | None:
     return next((cache / name for name in FILE_NAMES if (cache / name).is_file()), None)
 
 
-def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256: str = SHA256) -> Inception:
+def load_inception(path: Path, device: torch.device | str = "cpu", sha256: str = SHA256) -> Inception:
     """Return the network with the weights in `path`, in evaluation mode; InputError for any other file."""
-    try:
-        digest = sha256_of(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {ABSENT}") from None
-    if digest != sha256:
+    if (digest := sha256_of(path)) != sha256:
         raise InputError(f"{path}: is not the published file (SHA-256 {digest[:8]}..., not {sha256[:8]}...); {ABSENT}")
     network = Inception()
-    network.load_published(_read(path), str(path))
+    network.load_state_dict(load_torch(path), strict=False)  # some files have no counters of batch norms
     return network.to(device).eval()
-
-
-def _read(path: Path | str) -> Mapping[str, Tensor]:
-    try:
-        state = load_torch(path)
-    except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError):
-        state = None
-    if not isinstance(state, Mapping):
-        raise InputError(f"{path}: holds no weights; {ABSENT}")
-    return state
 
 
 class Inception(nn.Module):
@@ -84,18 +69,6 @@ class Inception(nn.Module):
         self.Mixed_7a = to_8()
         self.Mixed_7b, self.Mixed_7c = at_8(1280, _average_pooled), at_8(2048, _max_pooled)
         self.fc = nn.Linear(FEATURES, CLASSES)
-
-    def load_published(self, state: Mapping[str, Tensor], source: str) -> None:
-        """Load published weights, every one; `source` begins the InputError for unfit tensors."""
-        # batch-norm counters are not used in evaluation, and not every file has them
-        theirs = {key: value for key, value in state.items() if not key.endswith(".num_batches_tracked")}
-        ours = {key: value for key, value in self.state_dict().items() if not key.endswith(".num_batches_tracked")}
-        if wrong := sorted(theirs.keys() ^ ours.keys()):
-            raise InputError(f"{source}: {len(wrong)} tensors too many or too few, the first {wrong[0]!r}; {ABSENT}")
-        for key, value in theirs.items():
-            if value.shape != ours[key].shape:
-                raise InputError(f"{source}: {key!r} has shape {list(value.shape)}; {ABSENT}")
-        self.load_state_dict(theirs, strict=False)
 
     def forward(self, images: Tensor) -> Tensor:
         """Features of images of any size."""
