@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.metrics.accumulation import StoredArrays
 from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.metrics.frame_metrics import SSIM, DepthError, FeatureDistance, RollError, SeamRatio, WarpingError
 from lidar2pano.metrics.frechet import FrechetDistance
@@ -105,17 +104,3 @@ def test_values_of_one_frame(name):
     metric = counted(case := CASES["ssim" if name == "SSIM" else "depth"], FRAMES[:3])
     for frame in FRAMES[:3]:
         assert metric.value_of_frame(frame, name) == pytest.approx(counted(case, [frame]).values()[name])
-
-
-def test_arrays_on_disk_are_those_that_were_stored():
-    stored, arrays = StoredArrays(), {name: drawn(name).normal(size=(3, 4, 5)).astype(np.float32) for name in "dbca"}
-    assert stored.stacked().shape == (0,)
-    for name, array in arrays.items():
-        stored[name] = array
-    assert list(stored) == list("dbca") and all(np.array_equal(stored[name], arrays[name]) for name in arrays)
-    assert np.array_equal(stored.stacked(), np.stack([arrays[name] for name in "abcd"]))
-    assert np.array_equal(stored.stacked(2), np.stack([arrays[name][2] for name in "abcd"]))
-    del stored["b"]
-    stored["e"], stored["a"] = arrays["b"], arrays["d"]
-    assert np.array_equal(stored.stacked(), np.stack([arrays[name] for name in "dcdb"]))
-    assert "b" not in stored and len(stored) == 4

@@ -106,15 +106,3 @@ def test_resamples_without_a_value_are_left_out():
     metric = means([2.0] + 4 * [4.0])
     metric.rows["000"] = np.zeros(2)  # a frame of which nothing is scored
     assert interval(metric)[:3] == (4, 4, 4)
-
-
-@pytest.mark.parametrize(
-    ("settings", "complaint"),
-    [
-        ({"level": 1.0}, "level in"),
-        ({"resamples": 0}, "level in"),
-    ],
-)
-def test_intervals_that_cannot_be_are_refused(settings, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        interval(means([1, 2]), **settings)

@@ -9,7 +9,7 @@ import copy
 import hashlib
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, MutableMapping
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,14 +19,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-SIDES = ("predicted", "target")
-
-
 Array = Tensor | np.ndarray
 
 LEAST_FRAMES = 5  # of a value with an interval
 SHARE = 0.975  # of Student's distribution below the upper end of a 95 % interval
 ANGLES = 1 << 16  # at which its density is summed
+GROUPS = 10  # of images, for intervals of set distances
 BLOCK = 1 << 23  # multiplicities in memory at a time, 64 MB
 
 
@@ -75,60 +73,6 @@ def finite(values: Tensor, name: str) -> Tensor:
 
 
 # --- accumulation -----------------------------------------------------------------------------------------------------
-
-
-class StoredArrays(MutableMapping[str, np.ndarray]):
-    """Arrays of one shape and type by name, each a file in a temporary folder (in TMPDIR); memory holds names only."""
-
-    def __init__(self) -> None:
-        self._folder = TemporaryDirectory()
-        self._owner: StoredArrays | None = None  # of the folder; None: this object
-        self._numbers: dict[str, int] = {}  # of the files
-        self._next = 0
-
-    def __del__(self) -> None:
-        """Delete the files."""
-        if self._owner is None:
-            self._folder.cleanup()
-
-    def only(self, names: Collection[str]) -> StoredArrays:
-        """Return the arrays of these names, in the same files; while it is in use, nothing may be stored or deleted."""
-        subset = copy.copy(self)
-        subset._owner = self
-        subset._numbers = {name: number for name, number in self._numbers.items() if name in names}
-        return subset
-
-    def __setitem__(self, name: str, array: np.ndarray) -> None:
-        """Store an array."""
-        if name not in self._numbers:
-            self._numbers[name], self._next = self._next, self._next + 1
-        np.save(self._path(name), array)
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """Return a copy of the array."""
-        return np.load(self._path(name))
-
-    def __delitem__(self, name: str) -> None:
-        """Delete an array."""
-        self._path(name).unlink()
-        del self._numbers[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the names, in the order of storing."""
-        return iter(self._numbers)
-
-    def __len__(self) -> int:
-        """Return the number of arrays."""
-        return len(self._numbers)
-
-    def stacked(self, part: int | None = None) -> np.ndarray:
-        """Return all arrays (N, ...) in the order of their names, or of each the one at index `part`; (0,) for none."""
-        index = slice(None) if part is None else part
-        arrays = [np.load(self._path(name), mmap_mode="r")[index] for name in sorted(self._numbers)]
-        return np.stack(arrays) if arrays else np.zeros(0)
-
-    def _path(self, name: str) -> Path:
-        return Path(self._folder.name) / f"{self._numbers[name]}.npy"
 
 
 class FrameMetric(ABC):
@@ -184,14 +128,15 @@ class FrameMetric(ABC):
 class SetMetric(ABC):
     """A distance between two sets of images, the predicted and the target ones; of each image one array is kept.
 
-    Of more than MOST images of a side a pseudo-random sample of MOST is kept, by their names alone.
-    kept  side -> image name -> array.
+    Of more than MOST frames a pseudo-random sample of MOST is kept, by their names alone. Memory holds names only.
+    kept  frame -> file of the arrays of both sides (2, ...), in a temporary folder (in TMPDIR).
     """
 
     MOST: ClassVar[int]
 
     def __init__(self) -> None:
-        self.kept = {side: StoredArrays() for side in SIDES}
+        self.kept: dict[str, Path] = {}
+        self._folder = _Folder()
 
     @abstractmethod
     def values(self) -> dict[str, float]:
@@ -201,42 +146,46 @@ class SetMetric(ABC):
         """Return the leading value; NaN for too few images."""
         return next(iter(self.values().values()))
 
-    def thinned(self) -> Self:
-        """Return a copy with cheaper, less precise values, for intervals; it shares the arrays."""
-        return copy.copy(self)
-
-    def groups(self, most: int) -> list[frozenset[str]]:
-        """Return the images' names in up to `most` groups of about equal size, at random but by their names alone."""
-        names = sorted(set().union(*self.kept.values()), key=_rank)
-        return [frozenset(names[first::most]) for first in range(min(most, len(names)))]
-
-    def without(self, names: frozenset[str]) -> Self:
-        """Return a thinned copy without some images, on both sides."""
-        metric = self.thinned()
-        metric.kept = {side: arrays.only(arrays.keys() - names) for side, arrays in self.kept.items()}
+    def without(self, names: Collection[str]) -> Self:
+        """Return a copy without some frames, for intervals: its values may be less precise; it shares the files."""
+        metric = copy.copy(self)
+        metric.kept = {name: path for name, path in self.kept.items() if name not in names}
         return metric
 
+    def stacked(self, side: int, part: int | None = None) -> np.ndarray:
+        """Return one side's arrays (N, ...) in the order of names, or of each the one at `part`; (0,) for none."""
+        index = side if part is None else (side, part)
+        arrays = [np.load(self.kept[name], mmap_mode="r")[index] for name in sorted(self.kept)]
+        return np.stack(arrays) if arrays else np.zeros(0)
+
     def __len__(self) -> int:
-        """Return the number of predicted images kept."""
-        return len(self.kept["predicted"])
+        """Return the number of frames kept."""
+        return len(self.kept)
 
-    def _makes_room(self, name: str, side: str) -> bool:
-        """Return whether to keep an image; another one may be dropped for it.
+    def _keep(self, name: str, *sides: np.ndarray) -> None:
+        """Keep the arrays of a frame's predicted and target image."""
+        self.kept[name] = Path(self._folder.name, f"{_rank(name).hex()}.npy")
+        np.save(self.kept[name], np.stack(sides))
 
-        Raises ValueError for an unknown side, and for an image kept already.
-        """
-        if side not in SIDES:
-            raise ValueError(f"an image is {' or '.join(SIDES)}, not {side!r}")
-        kept = self.kept[side]
-        if name in kept:
-            raise ValueError(f"{side} image {name!r} was counted twice")
-        if len(kept) < self.MOST:
+    def _makes_room(self, name: str) -> bool:
+        """Return whether to keep a frame; another one may be dropped for it. ValueError for one kept already."""
+        if name in self.kept:
+            raise ValueError(f"frame {name!r} was counted twice")
+        if len(self.kept) < self.MOST:
             return True
-        last = max(kept, key=_rank)
+        last = max(self.kept, key=_rank)
         if _rank(name) > _rank(last):
             return False
-        del kept[last]
+        self.kept.pop(last).unlink()
         return True
+
+
+class _Folder(TemporaryDirectory[str]):
+    """A temporary folder that is deleted with the last metric that shares it."""
+
+    def __del__(self) -> None:
+        """Delete the files."""
+        self.cleanup()
 
 
 def _rank(name: str) -> bytes:
@@ -253,22 +202,18 @@ class Interval(NamedTuple):
     frames: int
 
 
-def interval(
-    metric: FrameMetric, name: str | None = None, *, level: float = 0.95, resamples: int = 2000, seed: int = 0
-) -> Interval:
+def interval(metric: FrameMetric, name: str | None = None, *, level: float = 0.95, resamples: int = 2000) -> Interval:
     """Compute the percentile bootstrap of a value over frames (Efron and Tibshirani 1993, chapter 13).
 
     Frames are drawn with replacement, as many as there are; their sums give the value as all frames' sums do.
-    name   of the value, the leading one when None;  level: share of resamples within the interval.
-    Resamples of undefined value are left out. Raises ValueError for a level outside (0, 1).
+    name   of the value, the leading one when None;  level: share of resamples within the interval, in (0, 1).
+    Resamples of undefined value are left out.
     """
-    if not 0 < level < 1 or resamples < 1:
-        raise ValueError(f"an interval needs a level in (0, 1) and a resample, not {level} and {resamples}")
     sums = metric.sums()
     frames, value = len(sums), float(_value(metric, sums.sum(0), name))
     if frames < LEAST_FRAMES:
         return Interval(value, np.nan, np.nan, frames)
-    generator, block = np.random.default_rng(seed), max(1, BLOCK // frames)
+    generator, block = np.random.default_rng(0), max(1, BLOCK // frames)
     counts = [min(block, resamples - start) for start in range(0, resamples, block)]
     drawn = np.concatenate([_value(metric, multiplicities(frames, count, generator) @ sums, name) for count in counts])
     drawn = drawn[~np.isnan(drawn)]
@@ -276,23 +221,24 @@ def interval(
     return Interval(value, float(low), float(high), frames)
 
 
-def set_intervals(metric: SetMetric, *, most: int = 10) -> dict[str, Interval]:
+def set_intervals(metric: SetMetric) -> dict[str, Interval]:
     """Compute 95 % intervals of a set distance's values by the jackknife over groups of images.
 
-    Shao and Tu 1995, section 2.3, with Student's t: value -+ t ((G - 1) / G sum (v_g - mean)^2)^(1/2) over up to `most`
-    groups G; NaN for fewer than LEAST_FRAMES images, and for undefined values. Distances never are below zero.
+    Shao and Tu 1995, section 2.3, with Student's t: value -+ t ((G - 1) / G sum (v_g - mean)^2)^(1/2) over up to GROUPS
+    groups G of about equal size, at random but by the names alone; NaN for fewer than LEAST_FRAMES images, and for
+    undefined values. Distances never are below zero.
     """
-    values, images = metric.values(), len(metric)
-    groups = metric.groups(most) if images >= LEAST_FRAMES else []
+    names, count = sorted(metric.kept, key=_rank), min(GROUPS, len(metric))
+    groups = [names[first::count] for first in range(count)] if len(names) >= LEAST_FRAMES else []
     parts = [metric.without(group).values() for group in groups]
     intervals: dict[str, Interval] = {}
-    for name, value in values.items():
+    for name, value in metric.values().items():
         left = np.array([part[name] for part in parts])
         half = np.nan
-        if len(left) > 1:
-            spread = np.sqrt((len(left) - 1) / len(left) * np.square(left - left.mean()).sum())
-            half = student_quantile(len(left) - 1) * spread
-        intervals[name] = Interval(value, float(np.maximum(value - half, 0.0)), float(value + half), images)
+        if parts:
+            spread = np.sqrt((count - 1) / count * np.square(left - left.mean()).sum())
+            half = student_quantile(count - 1) * spread
+        intervals[name] = Interval(value, float(np.maximum(value - half, 0.0)), float(value + half), len(names))
     return intervals
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from lidar2pano.metrics.accumulation import SIDES, Array, SetMetric, image_tensor
+from lidar2pano.metrics.accumulation import Array, SetMetric, image_tensor
 
 PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the image per pixel of EfficientNet-Lite2's features
 
@@ -30,49 +30,52 @@ class FrechetDistance(SetMetric):
         super().__init__()
 
     def update(self, predicted: Array, target: Array, name: str) -> None:
-        """Count the frame `name`: two images (H, W, 3) uint8, not necessarily of one size."""
-        self.take(predicted, name, "predicted")
-        self.take(target, name, "target")
+        """Count the frame `name`: two images (H, W, 3) uint8, not necessarily of one size.
 
-    def take(self, image: Array, name: str, side: str) -> None:
-        """Count one image (H, W, 3) uint8 of the "predicted" or the "target"; the sets may differ in size.
-
-        Raises ValueError when its features are not (1, D), or NaN or infinite.
+        Raises ValueError when the features of one are not (1, D), or NaN or infinite.
         """
-        if not self._makes_room(name, side):
-            return
+        if self._makes_room(name):
+            self._keep(name, *(self._features(image, name) for image in (predicted, target)))
+
+    def _features(self, image: Array, name: str) -> np.ndarray:
         with torch.inference_mode():
             features = self.extract(image_tensor(image)[None])
         if features.ndim != 2 or len(features) != 1 or not features.isfinite().all():
             raise ValueError(f"{self.name}: features of {name!r} are {tuple(features.shape)}, or NaN or infinite")
-        self.kept[side][name] = features[0].float().cpu().numpy()
+        return features[0].float().cpu().numpy()
 
     def values(self) -> dict[str, float]:
-        """Return the distance under its own name; NaN while a side has fewer than two images."""
-        enough = min(map(len, self.kept.values())) > 1
-        sides = (self.kept[side].stacked() for side in SIDES)
-        return {self.name: frechet_distance(*sides) if enough else float("nan")}
+        """Return the distance under its own name; NaN of fewer than two images."""
+        if len(self) < 2:
+            return {self.name: float("nan")}
+        return {self.name: frechet_distance(*(normal_of(self.stacked(side)) for side in (0, 1)))}
 
 
-def frechet_distance(first: np.ndarray, second: np.ndarray) -> float:
-    """Return |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)) of features (N, D) and (M, D), in float64.
+class Normal(NamedTuple):
+    """A normal distribution: mean (D,), and X (K, D) with the covariance X^T X."""
 
-    m: means, C: sample covariances (N - 1). With C = X^T X, X the centred features over (N - 1)^(1/2), the eigenvalues
-    of C1 C2 are the squares of the singular values of X1 X2^T, so the trace of the root is their sum: no root of a
-    product of nearly singular matrices is taken, and with fewer images than features nothing is lost.
-    Raises ValueError for fewer than two rows, for different D, and for NaN or infinite features.
+    mean: np.ndarray
+    factor: np.ndarray
+
+
+def normal_of(features: np.ndarray) -> Normal:
+    """Return the normal distribution of features (N, D): their mean and sample covariance (N - 1), in float64."""
+    samples = features.astype(np.float64)
+    mean = samples.mean(0)
+    factor = (samples - mean) / np.sqrt(len(samples) - 1)
+    return Normal(mean, np.linalg.qr(factor, mode="r") if len(samples) > len(mean) else factor)  # the same X^T X
+
+
+def frechet_distance(first: Normal, second: Normal) -> float:
+    """Return |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)), after Dowson and Landau 1982, in float64.
+
+    With C = X^T X the eigenvalues of C1 C2 are the squares of the singular values of X1 X2^T, so the trace of the root
+    is their sum: no root of a product of nearly singular matrices is taken, and with fewer images than features nothing
+    is lost.
     """
-    sides = [torch.from_numpy(np.ascontiguousarray(side, dtype=np.float64)) for side in (first, second)]
-    if any(side.ndim != 2 or len(side) < 2 for side in sides) or sides[0].shape[1] != sides[1].shape[1]:
-        raise ValueError(f"features of shapes {np.shape(first)} and {np.shape(second)} have no Frechet distance")
-    if not all(side.isfinite().all() for side in sides):
-        raise ValueError("features are NaN or infinite")
-    means = [side.mean(0) for side in sides]
-    factors = [(side - mean) / np.sqrt(len(side) - 1) for side, mean in zip(sides, means, strict=True)]
-    traces = sum(factor.square().sum() for factor in factors)
-    short = [torch.linalg.qr(x, mode="r").R if len(x) > x.shape[1] else x for x in factors]  # the same X^T X
-    root = torch.linalg.svdvals(short[0] @ short[1].T).sum()
-    distance = (means[0] - means[1]).square().sum() + traces - 2 * root
+    root = torch.linalg.svdvals(torch.from_numpy(first.factor @ second.factor.T)).sum()
+    traces = np.square(first.factor).sum() + np.square(second.factor).sum()
+    distance = np.square(first.mean - second.mean).sum() + traces - 2 * float(root)
     return max(float(distance), 0.0)  # equal sets: rounding on either side of zero
 
 
@@ -103,32 +106,26 @@ class PatchFrechetDistance(SetMetric):
         """Count two images (H, W, 3) uint8 of the frame `name`, but for patches with a pixel not `valid` (H, W)."""
         if valid is not None and self.shrink > 1:
             valid = avg_pool2d(torch.from_numpy(valid).float()[None], self.shrink)[0].numpy() == 1
-        for side, image in zip(SIDES, (predicted, target), strict=True):
-            if self._makes_room(name, side):
-                pixels = image_tensor(image)[None]
-                if self.shrink > 1:
-                    pixels = avg_pool2d(pixels.float(), self.shrink).round().to(pixels.dtype)
-                with torch.inference_mode():
-                    features = self.extract(pixels)[0]
-                patches = patch_features(features, valid, self.down)
-                count = np.full(patches.shape[1], len(patches))
-                self.kept[side][name] = np.vstack([patches.sum(0), patches.T @ patches, count]).astype(np.float64)
+        if self._makes_room(name):
+            self._keep(name, *(self._sums(image, valid) for image in (predicted, target)))
+
+    def _sums(self, image: Array, valid: np.ndarray | None) -> np.ndarray:
+        pixels = image_tensor(image)[None]
+        if self.shrink > 1:
+            pixels = avg_pool2d(pixels.float(), self.shrink).round().to(pixels.dtype)
+        with torch.inference_mode():
+            features = self.extract(pixels)[0]
+        patches = patch_features(features, valid, self.down)
+        count = np.full(patches.shape[1], len(patches))
+        return np.vstack([patches.sum(0), patches.T @ patches, count]).astype(np.float64)
 
     def values(self) -> dict[str, float]:
         """Return the distance over that of the halves of the real images, and both; NaN for too few patches."""
-        painted, real = ([self.kept[side][name] for name in sorted(self.kept[side])] for side in SIDES)
-        first, second = (_normal(half) for half in (real[: len(real) // 2], real[len(real) // 2 :]))
-        distance, among = normal_distance(_normal(painted), _normal(real)), normal_distance(first, second)
+        painted, real = self.stacked(0), self.stacked(1)
+        distance = _distance(painted, real)
+        among = _distance(real[: len(real) // 2], real[len(real) // 2 :])
         ratio = distance / among if among > 0 else float("nan")
         return {"ratio": ratio, "distance": distance, "real to real": among}
-
-
-class Normal(NamedTuple):
-    """A normal distribution: mean (D,), covariance (D, D), and of how many samples it was estimated."""
-
-    mean: np.ndarray
-    spread: np.ndarray
-    samples: int
 
 
 def patch_features(features: Tensor, valid: np.ndarray | None = None, down: int = DOWN) -> np.ndarray:
@@ -146,25 +143,13 @@ def patch_features(features: Tensor, valid: np.ndarray | None = None, down: int 
     return patches.double().cpu().numpy()
 
 
-def normal_distance(first: Normal, second: Normal) -> float:
-    """Return the Frechet distance |m1 - m2|^2 + tr(C1 + C2 - 2 (C1^1/2 C2 C1^1/2)^1/2), after Dowson and Landau 1982.
-
-    NaN if either was estimated of fewer than two samples.
-    """
-    if min(first.samples, second.samples) < 2:
-        return float("nan")
-    values, vectors = np.linalg.eigh(first.spread)
-    root = (vectors * np.sqrt(values.clip(0))) @ vectors.T
-    cross = np.sqrt(np.linalg.eigvalsh(root @ second.spread @ root).clip(0)).sum()
-    traces = np.trace(first.spread) + np.trace(second.spread)
-    distance = np.square(first.mean - second.mean).sum() + traces - 2 * cross
-    return max(float(distance), 0.0)
-
-
-def _normal(kept: list[np.ndarray]) -> Normal:
-    total = np.sum(kept, axis=0) if kept else np.zeros((2, 0))
-    samples = int(total[-1, 0]) if total.size else 0
-    if samples < 2:
-        return Normal(np.zeros(0), np.zeros((0, 0)), samples)
-    mean = total[0] / samples
-    return Normal(mean, (total[1:-1] - samples * np.outer(mean, mean)) / (samples - 1), samples)
+def _distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the distance of two sets of images by their sums (N, D + 2, D); NaN for fewer than two patches of one."""
+    normals: list[Normal] = []
+    for total in (part.sum(0) for part in (first, second)):
+        if total.ndim < 2 or (samples := total[-1, 0]) < 2:
+            return float("nan")
+        mean = total[0] / samples
+        values, vectors = np.linalg.eigh((total[1:-1] - samples * np.outer(mean, mean)) / (samples - 1))
+        normals.append(Normal(mean, np.sqrt(values.clip(0))[:, None] * vectors.T))
+    return frechet_distance(*normals)

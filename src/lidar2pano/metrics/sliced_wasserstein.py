@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, pad
 
-from lidar2pano.metrics.accumulation import SIDES, Array, FrameMetric, SetMetric, image_pair, image_tensor
+from lidar2pano.metrics.accumulation import Array, FrameMetric, SetMetric, image_pair
 
 LEVELS = (1024, 512, 256, 128, 64, 32, 16)  # pixels of a side; the last is the low-pass rest
 PATCH, PATCHES = 7, 128
@@ -46,29 +47,24 @@ class SlicedWasserstein(SetMetric):
 
     def update(self, predicted: Array, target: Array, name: str) -> None:
         """Count the frame `name`: two images (H, W, 3) uint8 of one size; ValueError otherwise."""
-        image_pair(predicted, target)
-        self.take(predicted, name, "predicted")
-        self.take(target, name, "target")
-
-    def take(self, image: Array, name: str, side: str) -> None:
-        """Count one image (H, W, 3) uint8 of the "predicted" or the "target"; the sets may differ in size."""
-        if self._makes_room(name, side):
-            places = draw_places(self.seed, name, side)
-            self.kept[side][name] = descriptors(pyramid(image_tensor(image)), places)
+        pair = image_pair(predicted, target)
+        if self._makes_room(name):
+            places = (draw_places(self.seed, name, side) for side in ("predicted", "target"))
+            self._keep(name, *map(descriptors, map(pyramid, pair), places))
 
     def values(self) -> dict[str, float]:
-        """SWD x 1000: "mean" over the levels, then "1024" to "16"; NaN when a side has no image."""
-        if not all(map(len, self.kept.values())):
+        """SWD x 1000: "mean" over the levels, then "1024" to "16"; NaN without images."""
+        if not len(self):
             return dict.fromkeys(("mean", *map(str, LEVELS)), float("nan"))
         levels = {}
         for number, level in enumerate(LEVELS):
-            first, second = (normalised(self.kept[side].stacked(number).reshape(-1, SIZE)) for side in SIDES)
+            first, second = (normalised(self.stacked(side, number).reshape(-1, SIZE)) for side in (0, 1))
             levels[str(level)] = SCALE * self._distance(first, second, level)
         return {"mean": float(np.mean(list(levels.values()))), **levels}
 
-    def thinned(self) -> Self:
-        """See SetMetric."""
-        metric = super().thinned()
+    def without(self, names: Collection[str]) -> Self:
+        """See SetMetric; of one repeat."""
+        metric = super().without(names)
         metric.repeats = 1
         return metric
 
@@ -132,18 +128,12 @@ def normalised(patches: np.ndarray) -> np.ndarray:
 
 
 def sliced_distances(first: np.ndarray, second: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return the Wasserstein-1 distance of two sets (N, D) and (M, D) along each of K directions (K, D): (K,) float64.
+    """Return the Wasserstein-1 distance of two sets (N, D) along each of K directions (K, D): (K,) float64.
 
     Rabin et al. 2012: along a line it is the mean distance of the sorted values.
     """
-    lines = [_sorted_lines(part, directions) for part in (first, second)]
-    if len(first) == len(second):
-        return np.abs(lines[0] - lines[1]).mean(1, dtype=np.float64)
-    # different sizes: both quantile functions are constant between the edges of either
-    n, m = len(first), len(second)
-    edges = np.union1d(np.arange(n) * m, np.arange(m) * n)  # in units of 1 / (n m)
-    width = np.diff(edges, append=n * m) / (n * m)
-    return np.abs(lines[0][:, edges // m] - lines[1][:, edges // n]) @ width
+    first, second = (_sorted_lines(part, directions) for part in (first, second))
+    return np.abs(first - second).mean(1, dtype=np.float64)
 
 
 def _sorted_lines(part: np.ndarray, directions: np.ndarray) -> np.ndarray:
