@@ -117,7 +117,7 @@ def value_of(evaluation, sector: str, name: str, which: int = 0) -> float:
 def test_counted_by_hand():
     one = fixed([[ROAD, ROAD, SKY, 0, CAR, ROAD], [ROAD, ROAD] + [CAR] * 4])
     evaluation = scored([frame_of()], one)
-    iou = evaluation.systems[0].metrics.classes("camera").confusion().iou()
+    iou = evaluation.systems[0].metrics.classes("camera").ious()
     assert iou[ROAD] == pytest.approx(2 / 5)  # 2 hits, 4 in the target, 1 more claimed; the last row's do not count
     assert iou[CAR] == pytest.approx(5 / 6)
     assert report.as_dict(evaluation)["results"][0]["score"] == {

@@ -25,7 +25,7 @@ from lidar2pano.formats.scan_files import read_label, write_bin, write_label
 from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.projection import Normalisation, directions, pixels, project
 from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet, unpack_label
-from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.pipeline.segmenter import clean_up
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
@@ -252,16 +252,16 @@ def test_convention_the_clean_up_invents_nothing():
 
 
 def test_convention_miou_counts_first_and_averages_last():
-    split = Confusion(3)
-    for predicted, target in ((([1, 1, 1, 1]), [1, 1, 1, 1]), ([1, 2], [2, 2])):
-        split.update(np.array(predicted), np.array(target))
-    assert split.miou() == pytest.approx((4 / 5 + 1 / 2) / 2), "the mean over images would be (1 + 1/4) / 2"
+    split = MeanIoU(3)
+    for name, predicted, target in (("a", [1, 1, 1, 1], [1, 1, 1, 1]), ("b", [1, 2], [2, 2])):
+        split.update(np.array(predicted), np.array(target), name)
+    assert split.compute() == pytest.approx((4 / 5 + 1 / 2) / 2), "the mean over images would be (1 + 1/4) / 2"
 
 
 def test_convention_unlabeled_ground_truth_is_not_scored():
-    split = Confusion(COMMON14, unscored=(0,))
-    split.update(np.array([1, 1, 0, 2]), np.array([0, 1, 1, 2]))
-    assert split.miou() == pytest.approx((1 / 2 + 1) / 2)
+    split = MeanIoU(COMMON14, unscored=(0,))
+    split.update(np.array([1, 1, 0, 2]), np.array([0, 1, 1, 2]), "a")
+    assert split.compute() == pytest.approx((1 / 2 + 1) / 2)
 
 
 @pytest.mark.parametrize(("grey", "inside"), [(0, -1.0), (255, 1.0)])

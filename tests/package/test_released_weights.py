@@ -25,7 +25,7 @@ from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import Memory
-from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.scan import tilt
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import cylinder_points, normals
@@ -85,14 +85,14 @@ def figures_of(panorama: lidar2pano.Panorama) -> Figures:
     rows, columns = true.shape
     ours = panorama.segments[2::4, 2::4]
     colour = panorama.colour.reshape(rows, 4, columns, 4, 3).mean((1, 3))
-    confusion = Confusion(COMMON15)
-    confusion.update(ours, true)
+    classes = MeanIoU(COMMON15).averaged_over(map(COMMON15.id_of, SCORED))
+    classes.update(ours, true, "")
     points = read("point_labels.png").ravel()[: len(panorama.labels)]
     depth = panorama.depth_m[2::8, 2::8]
     both = (depth > 0) & (depth_m > 0)
     agreed = {name: (ours == COMMON15.id_of(name)) & (true == COMMON15.id_of(name)) for name in SCORED}
     return Figures(
-        miou=confusion.miou(over=[COMMON15.id_of(name) for name in SCORED]),
+        miou=classes.compute(),
         accuracy=float((ours == true).mean()),
         point_accuracy=float((panorama.labels == points)[points > 0].mean()),
         abs_rel=float((np.abs(depth - depth_m)[both] / depth_m[both]).mean()),

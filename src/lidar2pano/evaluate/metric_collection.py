@@ -351,7 +351,7 @@ class MetricCollection:
         """Return ids of the classes in a sector's scored targets; None if no labels were counted."""
         for name in ("classes", "resegmentation"):
             if isinstance(metric := self.metrics.get((sector, name)), MeanIoU):
-                return metric.confusion().counts.sum(1).nonzero()[:, 0].tolist()
+                return metric.counts().sum(1).nonzero()[0].tolist()
         return None
 
     def values(self, over: Mapping[str, Sequence[int]]) -> Iterator[MetricValue]:

@@ -117,7 +117,7 @@ def _result(evaluation: Evaluation, system: EvaluatedSystem) -> dict[str, Any]:
         "milliseconds": {stage: round(value, 2) for stage, value in system.mean_milliseconds().items()},
         "values": entries,
         "worst": [{"frame": name, "metric": metric, "value": value} for name, metric, value in system.worst.rows()],
-        **{key: [] if count is None else count.confusion().table() for key, count in counts.items()},
+        **{key: [] if count is None else count.table() for key, count in counts.items()},
     }
 
 

@@ -18,7 +18,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import LabelSet
-from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.models import build
 from lidar2pano.models.card import load, read_card
 from lidar2pano.models.salsanext import IMAGE_SIZE
@@ -152,11 +152,11 @@ def segmentation_scores(
     pairs: Iterable[tuple[Tensor, Tensor | np.ndarray]], classes: int | LabelSet, unscored: tuple[int, ...] = ()
 ) -> dict[str, float]:
     """MIoU (the score) and accuracy of (predicted ids, target ids) over all frames together."""
-    confusion = Confusion(classes, unscored=unscored)
-    for predicted, target in pairs:
-        confusion.update(predicted, target)
-    miou = confusion.miou()
-    return {"score": miou, "miou": miou, "accuracy": confusion.accuracy()}
+    metric = MeanIoU(classes, unscored=unscored)
+    for number, (predicted, target) in enumerate(pairs):
+        metric.update(predicted, target, str(number))
+    values = metric.values()
+    return {"score": values["mIoU"], "miou": values["mIoU"], "accuracy": values["accuracy"]}
 
 
 def label_preview(labels: LabelSet, pairs: Iterable[Iterable[Tensor]]) -> dict[str, np.ndarray]:
