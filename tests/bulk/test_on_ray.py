@@ -15,7 +15,7 @@ import pytest
 from bulk_runs import SCANS, assert_each_once, contents, job_of, run
 from house_rules import ROOT
 from lidar2pano.bulk import Entry, ScanKey
-from lidar2pano.bulk.on_ray import ATTEMPTS, Pool
+from lidar2pano.bulk.on_ray import ATTEMPTS, translate_in_pool
 from lidar2pano.bulk.stores import SCRATCH
 from lidar2pano.errors import InputError
 from random_weights import street, write_scan
@@ -80,8 +80,7 @@ class Fake:
 
     def __init__(self, deadly: set[str], healthy: bool = True):
         self.deadly, self.healthy, self.held = deadly, healthy, []
-        self.prepare, self.close = Call(self._alive), Call(lambda: None)
-        self.translate = SimpleNamespace(remote=self._hold)
+        self.prepare, self.translate = Call(self._alive), SimpleNamespace(remote=self._hold)
 
     def _alive(self):
         if not self.healthy or any(name in self.deadly for name in self.held):
@@ -107,26 +106,37 @@ def fake_ray(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray.exceptions", errors)
 
 
-def translated(deadly: set[str], healthy: bool = True, scans: int = 20) -> tuple[list[dict], list[Fake]]:
+def translated(
+    deadly: set[str], healthy: bool = True, most: int = 20
+) -> tuple[dict[str, dict | None], list[Fake], list[Fake]]:
+    """Records of twenty scans by name, all workers that were made, and the last ones; at `most` it is stopped."""
     made: list[Fake] = []
+    pool: list[Fake] = []
 
     def make() -> Fake:
         made.append(Fake(deadly, healthy))
         return made[-1]
 
-    todo = [Entry(key=ScanKey(f"{number}.bin"), stem=f"{number}") for number in range(scans)]
-    pool = Pool(make, 2, todo)
-    return list(pool.records(job_of("in", "out"), lambda: False)), made
+    todo = [Entry(key=ScanKey(f"{number}.bin"), stem=f"{number}") for number in range(20)]
+    records: dict[str, dict | None] = {}
+    for entry, record in translate_in_pool(pool, make, 2, todo, lambda: len(records) >= most):
+        assert str(entry.key) not in records
+        records[str(entry.key)] = record
+    return records, made, pool
 
 
 @pytest.mark.usefixtures("fake_ray")
 def test_a_scan_that_kills_its_workers_costs_only_itself():
-    lines, made = translated({"5.bin", "6.bin", "11.bin"})
-    assert sorted(int(line["input"].removesuffix(".bin")) for line in lines) == list(range(20))
-    assert {line["input"]: line["error"] for line in lines if line["error"]} == {
-        name: f"{name}: its worker died 3 times" for name in ("5.bin", "6.bin", "11.bin")
-    }
-    assert len(made) <= 2 + 3 * ATTEMPTS
+    records, made, pool = translated({"5.bin", "6.bin", "11.bin"})
+    assert set(records) == {f"{number}.bin" for number in range(20)}
+    assert {name for name, record in records.items() if record is None} == {"5.bin", "6.bin", "11.bin"}
+    assert len(made) <= 2 + 3 * ATTEMPTS and made[-1] in pool and len(pool) == 2
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_a_run_that_is_stopped_gives_out_no_more_scans():
+    records, *_ = translated({"1.bin"}, most=4)
+    assert 4 <= len(records) <= 9 and all(records.values())
 
 
 @pytest.mark.usefixtures("fake_ray")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import islice
 from typing import Any
 
-from lidar2pano.bulk.entries import Entry, Job, ScanKey
+from lidar2pano.bulk.entries import Entry, Job
 from lidar2pano.bulk.job import Worker
 from lidar2pano.bulk.manifest import line
 from lidar2pano.bulk.stores import open_store
@@ -19,6 +19,7 @@ from lidar2pano.errors import InputError
 AT_ONCE = 3  # scans in a worker: one is read and one written while one is painted
 ATTEMPTS = 3  # at a scan whose worker dies
 POLL_S = 1.0
+Answer = tuple[Entry, dict[str, Any] | None]  # a scan and its line
 
 
 @contextmanager
@@ -70,92 +71,6 @@ class RayWorker:
         self._exit.close()
 
 
-class Pool:
-    """Workers and their tasks. A dead worker is replaced, and its scans are given out again.
-
-    make  starts a worker;  size: how many there are;  todo: the scans.
-    """
-
-    def __init__(self, make: Callable[[], Any], size: int, todo: Iterable[Entry]) -> None:
-        self._make = make
-        self._todo = deque(todo)
-        self._suspects: deque[Entry] = deque()  # were in a dead worker: each is tried again alone
-        self._deaths: Counter[ScanKey] = Counter()
-        self._failed_starts = 0
-        self._free: dict[Any, int] = {}  # worker -> how many more scans it takes; not while it starts
-        self._running: dict[Any, tuple[Any, Entry | None, int]] = {}  # reference -> worker, scan (None: starts), load
-        for _ in range(size):
-            self._start()
-
-    def records(self, job: Job, stopped: Callable[[], bool]) -> Iterator[dict[str, Any]]:
-        """Translate all scans and yield the manifest's lines as they come; see `bulk.job.translate_all`."""
-        import ray
-
-        while True:
-            if not stopped():
-                self._give_out()
-            at_work = any(entry is not None for _, entry, _ in self._running.values())
-            if not at_work and (stopped() or not (self._todo or self._suspects)):
-                return
-            for reference in ray.wait(list(self._running), timeout=POLL_S)[0]:
-                if record := self._taken(reference, job):
-                    yield record
-
-    def _taken(self, reference: Any, job: Job) -> dict[str, Any] | None:  # noqa: ANN401
-        """Return the line of a call that has ended; None for a started worker, or a scan to be tried again."""
-        from ray import get
-        from ray.exceptions import RayActorError, RayTaskError
-
-        worker, entry, load = self._running.pop(reference)
-        try:
-            record: Any = get(reference)
-        except RayTaskError as error:
-            raise (error.cause if isinstance(error.cause, InputError) else error) from None
-        except RayActorError:
-            return self._bury(worker, entry, job)
-        if entry is None:
-            self._free[worker], self._failed_starts = AT_ONCE, 0
-        elif worker in self._free:  # otherwise it has died since
-            self._free[worker] += load
-        return record
-
-    def close(self) -> None:
-        """End the workers."""
-        import ray
-
-        ray.wait([worker.close.remote() for worker in self._free], num_returns=len(self._free) or 1, timeout=10)
-
-    def _start(self) -> None:
-        worker = self._make()
-        self._running[worker.prepare.remote()] = (worker, None, AT_ONCE)
-
-    def _give_out(self) -> None:
-        for worker in list(self._free):
-            while self._free[worker] > 0:
-                retry = bool(self._suspects) and self._free[worker] == AT_ONCE
-                if not retry and not self._todo:
-                    break
-                entry = (self._suspects if retry else self._todo).popleft()
-                load = AT_ONCE if retry else 1
-                self._free[worker] -= load
-                self._running[worker.translate.remote(entry)] = (worker, entry, load)
-
-    def _bury(self, worker: Any, entry: Entry | None, job: Job) -> dict[str, Any] | None:  # noqa: ANN401
-        """Replace a dead worker; return the line of the scan if it has cost too many workers."""
-        if self._free.pop(worker, None) is not None or entry is None:
-            self._failed_starts += entry is None
-            if self._failed_starts > ATTEMPTS:
-                raise InputError("--ray: workers die while they start; look into Ray's logs")
-            self._start()
-        if entry is None:
-            return None
-        self._deaths[entry.key] += 1
-        if self._deaths[entry.key] < ATTEMPTS:
-            self._suspects.append(entry)
-            return None
-        return line(entry.key, "", job.weights, outputs=[], error=f"{entry.key}: its worker died {ATTEMPTS} times")
-
-
 def translate_on_ray(
     job: Job, todo: Iterable[Entry], stopped: Callable[[], bool], *, workers: int, cores: int, gpus: int
 ) -> Iterator[dict[str, Any]]:
@@ -168,10 +83,64 @@ def translate_on_ray(
 
     settings: dict[str, Any] = {"num_cpus": cores, "num_gpus": gpus, "max_restarts": 0, "max_concurrency": AT_ONCE}
     remote: Any = ray.remote(**settings)(RayWorker)
-    pool = Pool(lambda: remote.remote(job, cores), workers, todo)
+    pool: list[Any] = []
     try:
-        yield from pool.records(job, stopped)
+        for entry, record in translate_in_pool(pool, lambda: remote.remote(job, cores), workers, todo, stopped):
+            died = {"outputs": [], "error": f"{entry.key}: its worker died {ATTEMPTS} times"}
+            yield record or line(entry.key, "", job.weights, **died)
     finally:
-        pool.close()
+        ray.wait([worker.close.remote() for worker in pool], num_returns=len(pool) or 1, timeout=10)
         with open_store(job.out).scratch():  # removes files of killed workers
             pass
+
+
+def translate_in_pool(
+    pool: list[Any], make: Callable[[], Any], size: int, todo: Iterable[Entry], stopped: Callable[[], bool]
+) -> Iterator[Answer]:
+    """Yield scans and their lines as they come; None of a scan that has cost ATTEMPTS workers.
+
+    pool  gets `size` workers that `make` starts, and another for each that dies.
+    The scans of a dead worker are tried again when all others are done, each alone in a worker.
+    """
+    pool += [make() for _ in range(size)]
+    for attempt in range(ATTEMPTS):
+        suspects: list[Entry] = []
+        for entry, record in _answers(pool, make, iter(todo), stopped, 1 if attempt else AT_ONCE):
+            if record:
+                yield entry, record
+            else:
+                suspects.append(entry)
+        todo = suspects
+    yield from ((entry, None) for entry in todo)
+
+
+def _answers(
+    pool: list[Any], make: Callable[[], Any], scans: Iterator[Entry], stopped: Callable[[], bool], at_once: int
+) -> Iterator[Answer]:
+    """Give out scans, so many to a worker at once; yield each with its line, None if its worker has died."""
+    from ray import get, wait
+    from ray.exceptions import RayActorError, RayTaskError
+
+    failed_starts = 0
+    running: dict[Any, tuple[Any, Entry | None]]  # reference -> worker, scan (None: starts)
+    running = {worker.prepare.remote(): (worker, None) for worker in pool}
+    while running and not (stopped() and all(entry is None for _, entry in running.values())):
+        for reference in wait(list(running), timeout=POLL_S)[0]:
+            worker, entry = running.pop(reference)
+            try:
+                record: Any = get(reference)
+            except RayTaskError as error:
+                raise (error.cause if isinstance(error.cause, InputError) else error) from None
+            except RayActorError:
+                if entry is not None:
+                    yield entry, None
+                elif (failed_starts := failed_starts + 1) > ATTEMPTS:
+                    raise InputError("--ray: workers die while they start; look into Ray's logs") from None
+                if worker in pool:  # not replaced yet, for another of its scans
+                    pool[pool.index(worker)] = worker = make()
+                    running[worker.prepare.remote()] = worker, None
+                continue
+            if entry is not None:
+                yield entry, record
+            for following in islice(scans, 0 if stopped() else at_once if entry is None else 1):
+                running[worker.translate.remote(following)] = worker, following
