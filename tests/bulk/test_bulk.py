@@ -26,9 +26,9 @@ from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.stores import SCRATCH, open_store
 from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.layouts import frames
+from lidar2pano.drives.reading import Overrides, ReadingOptions
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
-from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.geometry.camera import CUBE_AXES
 from lidar2pano.labels import COMMON15
 from random_weights import CALIB, street, write_scan
@@ -168,13 +168,13 @@ def test_a_bad_scan_costs_a_line_and_is_tried_again(root, tmp_path, capsys):
 
 
 def test_overrides_and_strictness(root, tmp_path):
-    assert run(job_of(root, tmp_path / "out", strict=True)) == BAD_SCANS
+    assert run(job_of(root, tmp_path / "out", reading=ReadingOptions(strict=True))) == BAD_SCANS
     assert all("an error because of --strict" in line["error"] for line in manifest(tmp_path / "out"))
-    turned = job_of(root, tmp_path / "turned", overrides=Overrides(forward="y"))
+    turned = job_of(root, tmp_path / "turned", reading=ReadingOptions(overrides=Overrides(forward="y")))
     assert run(turned) == 0
     assert json.loads((tmp_path / "turned" / "bulk.json").read_text())["forward"] == "y"
     with pytest.raises(InputError, match="made with another 'forward'"):
-        run(replace(turned, overrides=Overrides()))
+        run(replace(turned, reading=ReadingOptions()))
     assert run(job_of(root, tmp_path / "plain")) == 0
     assert contents(tmp_path / "plain")["a/000000.depth.png"] != contents(tmp_path / "turned")["a/000000.depth.png"]
 
@@ -292,14 +292,14 @@ def test_names_in_a_data_set():
     entry = Entry(
         key=ScanKey("town/sequences/07/velodyne/000012.bin"), stem="town/sequences/07/velodyne/000012", label="x"
     )
-    assert entry.outputs(("rgb", "segments"), SEMANTIC_KITTI) == {
+    assert job_of("in", "out", save=("rgb", "segments"), layout=SEMANTIC_KITTI).outputs(entry) == {
         "rgb": "sequences/town-07/pano/000012.png",
         "segments": "sequences/town-07/pano_labels/000012.png",
         "instances": "sequences/town-07/pano_instances/000012.png",
     }
-    assert Entry(key=ScanKey("a.bin"), stem="a").outputs(("labels",), SEMANTIC_KITTI) == {
-        "labels": "sequences/00/predicted_labels/a.label"
-    }
+    assert job_of("in", "out", save=("labels",), layout=SEMANTIC_KITTI).outputs(
+        Entry(key=ScanKey("a.bin"), stem="a")
+    ) == {"labels": "sequences/00/predicted_labels/a.label"}
 
 
 # --- data sets --------------------------------------------------------------------------------------------------------

@@ -27,9 +27,8 @@ from lidar2pano.cli import main
 from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.semantic_kitti import open_frame
-from lidar2pano.drives.reading import ReadingOptions, posed_scans
+from lidar2pano.drives.reading import ReadingOptions, ReadOptions, posed_scans
 from lidar2pano.errors import InputError
-from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import read_bin, write_bin
 from lidar2pano.recordings import mcap_files
 from miniature import street
@@ -54,7 +53,7 @@ def keys(root: Path, shard: Shard = Shard(), **options) -> list[tuple[str, int |
 
 def images(root: Path, only: str = "") -> list[str]:
     found = entries(open_store(root), Shard(), only=only)
-    return [entry.outputs(("rgb",))["rgb"] for entry in found]
+    return [job_of(root, "out", save=("rgb",)).outputs(entry)["rgb"] for entry in found]
 
 
 # --- the same panoramas -----------------------------------------------------------------------------------------------
@@ -244,10 +243,10 @@ def test_the_topic_is_named_or_a_line_says_so(tmp_path, capsys):
     recorded(tmp_path / "in", "mcap", sent=[*DRIVE[:3], *other])
     assert run(job_of(tmp_path / "in", tmp_path / "out")) == BAD_SCANS
     assert "holds points on /points, /rear; choose one with --topic" in capsys.readouterr().err
-    job = job_of(tmp_path / "in", tmp_path / "rear", selection=ReadOptions(topic="/rear"))
+    job = job_of(tmp_path / "in", tmp_path / "rear", reading=ReadingOptions(selection=ReadOptions(topic="/rear")))
     assert run(job) == 0 and len(manifest(tmp_path / "rear")) == 3
     with pytest.raises(InputError, match="made with another 'topic'"):
-        run(job_of(tmp_path / "in", tmp_path / "rear", selection=ReadOptions(topic="/points")))
+        run(job_of(tmp_path / "in", tmp_path / "rear", reading=ReadingOptions(selection=ReadOptions(topic="/points"))))
 
 
 def test_names_of_outputs(tmp_path):
@@ -304,7 +303,9 @@ def test_recordings_become_a_data_set_in_their_own_folder_and_again(tmp_path, ca
 def test_times_and_poses_of_a_recording(tmp_path, format):
     """They are those with which `translate` reads the recording, though the data set is read as KITTI's."""
     path = recorded(tmp_path / "in", format, sent=moving(turned=0.3))
-    job = job_of(tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI, selection=ReadOptions(every=4))
+    job = job_of(
+        tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI, reading=ReadingOptions(selection=ReadOptions(every=4))
+    )
     assert run(job) == 0
     folder = tmp_path / "out" / "sequences" / "drive"
     assert (folder / "times.txt").read_text() == "0.000000\n0.100000\n0.200000\n0.300000\n0.400000\n"
@@ -364,7 +365,7 @@ def test_times_that_a_kill_has_cost(tmp_path, monkeypatch):
     for lost in (["times.txt"], ["times.txt", "poses.txt"], ["times.txt", "poses.txt", "calib.txt"]):
         for name in lost:
             (folder / name).unlink()
-        assert not write_times(job, sequence, lambda: True) and not (folder / "times.txt").exists()
+        assert not write_times(job, *sequence, lambda: True) and not (folder / "times.txt").exists()
         assert run(job) == 0 and contents(tmp_path / "out") == whole
 
     def killed(store: Folder, file: Path, name: str) -> None:

@@ -25,7 +25,7 @@ def job_of(root: Path | str, out: Path | str, **changes) -> Job:
 def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all, only: str = "") -> int:
     """What the command does after it has understood its options."""
     store = open_store(job.source)
-    found = entries(store, shard, job.layout, labels=job.use_labels, selection=job.selection, only=only)
+    found = entries(store, shard, job.layout, labels=job.use_labels, selection=job.reading.selection, only=only)
     start(job, found, {}, {})
     return work(job, found, Manifest(open_store(job.out), shard), translate)
 

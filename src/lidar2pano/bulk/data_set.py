@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -26,7 +25,6 @@ from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.reading_process import confined_playback
 from lidar2pano.scan import Scan
 
-SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
 REACH = 12  # pixels of the translator's raster: beams are up to about so many rows apart
 TIMES, POSES, CALIB = "times.txt", "poses.txt", "calib.txt"
 # T_camera0_lidar of calib.txt: the axes of KITTI's camera 0 (x right, y down, z forward) at the sensor's own place.
@@ -38,7 +36,7 @@ def copy_sequences(source: Store, out: Store, listed: list[Entry]) -> None:
     _copy_beside(source, out, "splits.json", "splits.json")
     of_files = [entry for entry in listed if entry.key.scan is None and not entry.error]
     for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
-        for name in SEQUENCE_FILES:
+        for name in (CALIB, POSES, TIMES):
             _copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
 
 
@@ -94,33 +92,21 @@ def grow(seeds: Tensor, inside: Tensor, steps: int) -> Tensor:
     return grown
 
 
-class RecordedSequence(NamedTuple):
-    """A recording, and the name of its sequence in the output."""
-
-    recording: str
-    name: str
-
-    @property
-    def folder(self) -> str:
-        """The sequence's folder below OUT."""
-        return f"sequences/{self.name}"
-
-
-def untimed(job: Job, listed: list[Entry], shard: Shard) -> list[RecordedSequence]:
-    """List the recordings whose files this shard still has to write: the shard with their last scans does.
+def untimed(job: Job, listed: list[Entry], shard: Shard) -> list[tuple[str, str]]:
+    """List recordings, and names of their sequences, whose files this shard has to write: that with their last scans.
 
     listed  the shard's scans.
     """
     if job.layout != KITTI_LAYOUT:
         return []
     source, out = open_store(job.source), open_store(job.out)
-    recorded = {RecordedSequence(entry.key.input, entry.sequence) for entry in listed if entry.key.scan is not None}
-    own = (item for item in sorted(recorded) if not isinstance(source, Folder) or shard.takes_end(item.recording))
-    return [item for item in own if not out.exists(f"{item.folder}/{TIMES}")]
+    recorded = {(entry.key.input, entry.sequence) for entry in listed if entry.key.scan is not None}
+    own = (item for item in sorted(recorded) if not isinstance(source, Folder) or shard.takes_end(item[0]))
+    return [(recording, name) for recording, name in own if not out.exists(f"sequences/{name}/{TIMES}")]
 
 
-def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool]) -> bool:
-    """Write the files of one sequence; return false if it was stopped, and nothing written.
+def write_times(job: Job, recording: str, name: str, stopped: Callable[[], bool]) -> bool:
+    """Write the files of a recording's sequence; return false if it was stopped, and nothing written.
 
     Line n of times.txt and poses.txt is scan n of the recording, whichever scans are chosen. times.txt is written last:
     once it exists, no other file is missing. Raises InputError if the recording cannot be read any more,
@@ -128,17 +114,17 @@ def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool
     """
     source, out = open_store(job.source), open_store(job.out)
     with (
-        local_copy(source, sequence.recording) as path,
-        closing(confined_playback(path, job.selection.topic)) as opened,
+        local_copy(source, recording) as path,
+        closing(confined_playback(path, job.reading.selection.topic)) as opened,
     ):
         stamps_s, poses = [], []
-        for stamp_s, pose in _track(opened, job.overrides):
+        for stamp_s, pose in _track(opened, job.reading.overrides):
             if stopped():
                 return False
             stamps_s.append(stamp_s)
             poses.append(pose)
-    for name, text in _texts(np.array(stamps_s), poses).items():
-        put_bytes(out, f"{sequence.folder}/{name}", text.encode())
+    for file, text in _texts(np.array(stamps_s), poses).items():
+        put_bytes(out, f"sequences/{name}/{file}", text.encode())
     return True
 
 

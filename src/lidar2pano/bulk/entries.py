@@ -12,8 +12,6 @@ from typing import NamedTuple
 from lidar2pano.drives.reading import ReadingOptions
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS
-from lidar2pano.formats.interpretation import Overrides
-from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.camera import CUBE_AXES
 from lidar2pano.pipeline import Pipeline
 
@@ -71,22 +69,6 @@ class Entry:
         parts = parts[:-1] if self.key.scan is None else parts
         return "-".join(part for part in parts if part not in ("sequences", "velodyne")) or "00"
 
-    def outputs(
-        self, save: Sequence[str], layout: str = MIRRORED, colour: str = ".png", faces: Sequence[str] = ("",)
-    ) -> dict[str, str]:
-        """Return the names of its outputs below OUT, by output and face; `colour` is the ending of colour images."""
-        number = "" if self.key.scan is None else f"{self.key.scan:06d}"
-        if layout == MIRRORED:
-            stem = f"{self.stem}-{number}" if number else self.stem
-            return {
-                f"{part}{face}": stem + face + (colour if part == "rgb" else SUFFIXES[part])
-                for part in save
-                for face in (("",) if part == "labels" else faces)
-            }
-        frame = number or self.stem.rpartition("/")[2]
-        parts = (*save, *(["instances"] if self.label else []), *(["scan"] if number else []))
-        return {part: f"sequences/{self.sequence}/{IN_SEQUENCE[part].format(frame)}" for part in parts}
-
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
@@ -99,8 +81,7 @@ class Job:
     weights      name, for the manifest.
     pipeline     makes the pipeline, once per process.
     image_format  of colour images, one of COLOUR_FORMATS;  projection: of all images, one of PROJECTIONS.
-    selection    which scans of recordings and folders; here the topic counts.
-    overrides    facts about the scans;  strict: whether an implausible scan is an error.
+    reading      options of reading scans; of the selection in recordings, here the topic counts.
     """
 
     source: str
@@ -112,19 +93,23 @@ class Job:
     use_labels: bool = False
     image_format: str = "png"
     projection: str = "cylinder"
-    selection: ReadOptions = field(default_factory=ReadOptions)
-    overrides: Overrides = field(default_factory=Overrides)
-    strict: bool = False
-
-    @property
-    def reading(self) -> ReadingOptions:
-        """Options of reading scans."""
-        return ReadingOptions(selection=self.selection, overrides=self.overrides, strict=self.strict)
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
 
     def outputs(self, entry: Entry) -> dict[str, str]:
-        """Return the names of a scan's outputs below `out`, by output."""
-        faces = [f".{face}" for face in CUBE_AXES] if self.projection == "cubemap" else [""]
-        return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0], faces)
+        """Return the names of a scan's outputs below `out`, by output and face."""
+        number = "" if entry.key.scan is None else f"{entry.key.scan:06d}"
+        if self.layout == MIRRORED:
+            stem = f"{entry.stem}-{number}" if number else entry.stem
+            suffixes = SUFFIXES | {"rgb": COLOUR_FORMATS[self.image_format][0]}
+            faces = [f".{face}" for face in CUBE_AXES] if self.projection == "cubemap" else [""]
+            return {
+                f"{part}{face}": stem + face + suffixes[part]
+                for part in self.save
+                for face in ([""] if part == "labels" else faces)
+            }
+        frame = number or entry.stem.rpartition("/")[2]
+        parts = (*self.save, *(["instances"] if entry.label else []), *(["scan"] if number else []))
+        return {part: f"sequences/{entry.sequence}/{IN_SEQUENCE[part].format(frame)}" for part in parts}
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import PurePosixPath
 
 from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
@@ -135,9 +136,8 @@ def _completed(entry: Entry, store: Store, layout: str) -> Entry:
     in_sequence = folder.name == "velodyne"
     label = (folder.parent / "labels" if in_sequence else folder) / f"{stem_of(entry.key.input)}.label"
     calib = (folder.parent if in_sequence else folder) / "calib.txt"
-    return Entry(
-        key=entry.key,
-        stem=entry.stem,
+    return replace(
+        entry,
         label=str(label) if store.exists(str(label)) else None,
         calibration=str(calib) if layout == SEMANTIC_KITTI and store.exists(str(calib)) else None,
     )

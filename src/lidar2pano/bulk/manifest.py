@@ -63,11 +63,11 @@ class Manifest:
         lines = [_line(record) for record in kept.values()]
         if b"".join(lines) != content or not self._store.exists(self.name):
             put_bytes(self._store, self.name, b"".join(lines))
-        self._lines = [] if self._store.appends else lines
+        self._lines = [] if isinstance(self._store, Folder) else lines
 
     def add(self, record: dict[str, Any]) -> None:
         """Append a line."""
-        if self._store.appends:
+        if isinstance(self._store, Folder):
             self._store.append(self.name, _line(record))
             return
         self._lines.append(_line(record))
@@ -76,7 +76,7 @@ class Manifest:
 
     def flush(self) -> None:
         """Upload the lines to a store whose files cannot grow."""
-        if self._lines and not self._store.appends:
+        if self._lines:
             put_bytes(self._store, self.name, b"".join(self._lines))
         self._flushed = time.monotonic()
 
@@ -126,6 +126,7 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
     in_place = isinstance(source, Folder) and isinstance(out, Folder) and source.root.resolve() == out.root.resolve()
     if in_place and job.layout != SEMANTIC_KITTI:
         raise InputError(f"{job.out}: is the folder of the scans; choose another --out")
+    overrides = job.reading.overrides
     settings = {
         "lidar2pano": __version__,
         "weights": job.weights,
@@ -135,10 +136,10 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
         "as": job.layout,
         "labels": job.use_labels,
         "projection": None if job.projection == "cylinder" else job.projection,
-        "topic": job.selection.topic or None,
-        "forward": job.overrides.forward or None,
-        "remission": job.overrides.remission or None,
-        "sensor_height_m": job.overrides.sensor_height_m,
+        "topic": job.reading.selection.topic or None,
+        "forward": overrides.forward or None,
+        "remission": overrides.remission or None,
+        "sensor_height_m": overrides.sensor_height_m,
         "classes": {
             str(index): {"name": name, "colour": list(colour)}
             for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))

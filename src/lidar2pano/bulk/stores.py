@@ -45,10 +45,8 @@ class Folder:
     """Files by name in a folder of this machine, or in a shared one.
 
     A name is the path below the root, with slashes.
-    place  the root, for messages;  appends: whether a file can grow.
+    place  the root, for messages.
     """
-
-    appends = True
 
     def __init__(self, root: Path) -> None:
         self.root, self.place = root, str(root)
@@ -112,9 +110,7 @@ class Folder:
 
 
 class Remote:
-    """Files by name at a URL that fsspec opens; each is uploaded in one piece and seen whole or not at all."""
-
-    appends = False
+    """Files by name at a URL that fsspec opens; each is uploaded in one piece, whole or not at all."""
 
     def __init__(self, url: str) -> None:
         from fsspec.core import url_to_fs
@@ -163,10 +159,6 @@ class Remote:
         file.unlink()
         if self._known is not None:
             self._known.add(name)
-
-    def append(self, name: str, data: bytes) -> None:
-        """Raise NotImplementedError: objects cannot grow."""
-        raise NotImplementedError
 
     def _listed(self) -> set[str]:
         if self._known is None:

@@ -101,8 +101,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     """Translate any number of scans, without cameras. Repeat the command to go on."""
     from lidar2pano.bulk import Job, Shard
     from lidar2pano.cli.batch import checked_options
-    from lidar2pano.formats.interpretation import Overrides
-    from lidar2pano.formats.readers import ReadOptions
+    from lidar2pano.drives.reading import Overrides, ReadingOptions, ReadOptions
 
     pictures = opt.collect_pictures(image_format, projection)
     _check_layout(layout, elevation, **pictures)
@@ -124,9 +123,11 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         weights=options.weights,
         pipeline=options.pipeline,
         **pictures,
-        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
-        overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission),
-        strict=strict,
+        reading=ReadingOptions(
+            selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
+            overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission),
+            strict=strict,
+        ),
     )
     raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores), only))
 
@@ -144,7 +145,8 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     if not cluster.address and (cluster.workers or cluster.cores != CORES):
         raise InputError("--workers and --cores: are those of a Ray cluster; name --ray too")
     store = open_store(job.source)
-    listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
+    find = partial(entries, store, layout=job.layout, labels=job.use_labels, selection=job.reading.selection, only=only)
+    listed = find(part)
     if isinstance(store, Folder) and not only and (note := left_out(store.root, {entry.key.input for entry in listed})):
         print_note(note)
     painted = {"look": options.look, "quality": options.quality, "seed": options.seed}
@@ -154,8 +156,7 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     print_weights(options.note, map(read_card, options.files.values()))
     manifest = Manifest(open_store(job.out), part)
     if not listed:
-        total = len(entries(store, Shard(), job.layout, labels=job.use_labels, selection=job.selection, only=only))
-        print(f"shard {part.index}/{part.count} is empty; scans in all: {total}")
+        print(f"shard {part.index}/{part.count} is empty; scans in all: {len(find(Shard()))}")
         return 0
     if cluster.address:
         return work_on_ray(job, listed, manifest, options, cluster)
@@ -255,8 +256,8 @@ def write_all_times(job: Job, listed: list[Entry], shard: Shard, stopped: Callab
 
     sequences = untimed(job, listed, shard)
     with bar(len(sequences), "reading poses") as advance:
-        for sequence in sequences:
-            if stopped() or not write_times(job, sequence, stopped):
+        for recording, name in sequences:
+            if stopped() or not write_times(job, recording, name, stopped):
                 return False
             advance()
     return True
