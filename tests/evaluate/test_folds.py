@@ -15,7 +15,7 @@ import torch
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import system
-from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table, weights_without
+from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table
 from lidar2pano.models.card import load, save
 from random_weights import write_data_set
 
@@ -24,8 +24,6 @@ def test_folds_are_named_places(tmp_path):
     first, second = parse_folds([f"harbour={tmp_path}/a:b:val", "hills=data:all"])
     assert (first.name, str(first.root), first.split) == ("harbour", f"{tmp_path}/a:b", "val")
     assert (second.name, str(second.root), second.split) == ("hills", "data", "all")
-    assert weights_without("runs/x-without-{fold}", second) == "runs/x-without-hills"
-    assert weights_without("world", second) == "world"
 
 
 @pytest.mark.parametrize(

@@ -137,8 +137,7 @@ def test_the_worst_are_held():
         assert worst.wanted(value) == (name != "c")
         if worst.wanted(value):
             worst.take(WorstFrame(name, "camera mIoU", value, None))
-    assert [(name, value) for name, _, value in worst.rows()] == [("d", 0.1), ("a", 0.5)]
-    assert worst.write(Path("nowhere")) == [None, None]
+    assert [(one.name, one.value) for one in worst.held] == [("d", 0.1), ("a", 0.5)]
 
 
 def test_labels_that_a_teacher_wrote_are_flagged(data, random_weights, capsys):

@@ -395,7 +395,7 @@ def test_a_translator_and_a_video_painter(front_weights, video, frame):
     assert np.array_equal(first.image, wanted) and first.image.shape == (CAMERA[1], CAMERA[0], 3)
     assert np.array_equal(one.predict(at(frame), memory)[1].image, second) and not np.array_equal(second, wanted)
     assert one.predict(at(frame, colours=False))[1].image is None
-    assert system(front_weights, painter=video, device="cpu").info == one.info
+    assert system(f"{front_weights}+{video}", device="cpu").info == one.info
 
 
 def test_images_are_painted_at_the_size_of_training(video):
@@ -417,7 +417,7 @@ def test_images_are_painted_at_the_size_of_training(video):
 
 
 def test_the_oracle_paints_the_ground_truth(video, frame):
-    one = system("oracle", painter=video, device="cpu")
+    one = system(f"oracle+{video}", device="cpu")
     assert isinstance(one, Oracle) and one.uses_ground_truth and one.info.name == f"oracle+{video}"
     ids = np.zeros((CAMERA[1], CAMERA[0]), np.uint8)
     ids[:, 100:] = ROAD
@@ -430,7 +430,7 @@ def test_the_oracle_paints_the_ground_truth(video, frame):
 
 
 def test_a_painter_takes_the_familys_place(random_weights, video, kitti, tmp_path):
-    one = system(random_weights, painter=video, device="cpu")
+    one = system(f"{random_weights}+{video}", device="cpu")
     assert isinstance(one, PanoramaSystem)
     assert one.info.networks["painter"]["network"] == "vid2vid"
     assert set(one.info.networks) == {"segmenter", "translator", "painter"}

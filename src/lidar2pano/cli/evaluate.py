@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -94,8 +94,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
+    from lidar2pano.cli.options import write_json
     from lidar2pano.evaluate import MetricConfig, system
-    from lidar2pano.evaluate.folds import Fold
+    from lidar2pano.evaluate.folds import Fold, parse_folds
     from lidar2pano.hardware import keep_buffers
 
     if worst and not (out or folds or leave_out):
@@ -106,100 +107,80 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     build = partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation)
+    names = list(dict.fromkeys(weights))
     if folds:
         refuse_beside("--folds", {"--data": data, "--worst": worst, "--pairs": pairs, "--leave-out": leave_out})
-        score_folds(weights, folds, build, config, as_json, as_csv)
+        scores = score_folds(names, parse_folds(folds), build, config)
     elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     elif leave_out:
         unused = {"--metrics": metrics, "--csv": as_csv, "--worst": worst, "--pairs": pairs}
         refuse_beside("--leave-out", unused | {"--sdnet": sdnet, "--inception": inception, "--sensor": sensor})
-        loader = partial(load_reaching, device=device, engine=engine, elevation=elevation)
-        leave_out_cameras(weights, data, split, leave_out, out, as_json, config.patches, loader)
+        load = partial(load_reaching, device=device, engine=engine, elevation=elevation)
+        scores = leave_out_cameras(weights, Fold(split, data, split), leave_out, out, config.patches, load)
     else:
-        systems = [build(name) for name in dict.fromkeys(weights)]
-        score_split(systems, Fold(split, data, split), config, as_json, as_csv, out, worst, pairs)
+        scores = score_split(names, Fold(split, data, split), build, config, worst, out, pairs)
+    if as_json:
+        write_json(as_json, scores.summary, "--json")
+    if as_csv:
+        write_csv(as_csv, scores.rows, "--csv")
+    note_licences(scores.scored)
+    print(scores.table)
 
 
-def score_split(  # noqa: PLR0913, PLR0917 one parameter per option
-    systems: Sequence[System],
+class Scores(NamedTuple):
+    """The summary for JSON, the rows for CSV, the table in Markdown, and the systems with licences."""
+
+    summary: dict[str, Any]
+    rows: list[dict[str, object]]
+    table: str
+    scored: list[SystemInfo]
+
+
+def score_split(
+    names: Sequence[str],
     place: Fold,
+    build: Callable[[str], System],
     config: MetricConfig,
-    as_json: Path | None,
-    as_csv: Path | None,
-    out: Path | None,
     worst: int,
+    out: Path | None,
     pairs: Path | None,
-) -> None:
-    """Score one split, write the requested files, and print a table."""
-    from lidar2pano.cli.options import write_json
+) -> Scores:
+    """Score one split; write the sheets of the worst frames, and the page of pairs."""
     from lidar2pano.evaluate import report
     from lidar2pano.evaluate.pictures import Preferences
 
+    systems = [build(name) for name in names]
     preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
     evaluation = score_place(systems, place, config, worst, preferences)
     summary = report.as_dict(evaluation)
-    if as_json:
-        write_json(as_json, summary, "--json")
-    if as_csv:
-        write_csv(as_csv, report.records(summary), "--csv")
     if out:
         write_worst(evaluation, out)
     if preferences:
         print_note(f"choose between the panoramas: {preferences.write()}")
-    note_licences(system.info for system in systems)
-    print(report.table(summary))
+    return Scores(summary, report.records(summary), report.table(summary), [system.info for system in systems])
 
 
 def score_folds(
-    weights: Sequence[str],
-    texts: Sequence[str],
-    build: Callable[[str], System],
-    config: MetricConfig,
-    as_json: Path | None,
-    as_csv: Path | None,
-) -> None:
-    """Score every fold, write the requested files, and print a table of means over folds."""
-    from lidar2pano.cli.options import write_json
-    from lidar2pano.evaluate import report
-    from lidar2pano.evaluate.folds import compared, parse_folds, scores_of, table
+    names: Sequence[str], folds: Sequence[Fold], build: Callable[[str], System], config: MetricConfig
+) -> Scores:
+    """Score every fold, and the means over folds."""
+    from lidar2pano.evaluate.folds import PLACEHOLDER, compared, scores_of, table
 
-    names = list(dict.fromkeys(weights))
     folded: dict[str, dict[str, dict[str, float]]] = {name: {} for name in names}
-    rows: list[dict[str, object]] = []
-    scored: list[SystemInfo] = []
-    for fold in parse_folds(texts):
-        summary, infos = score_fold(names, fold, build, config)
-        scored += infos
-        rows += [{"fold": fold.name, **row} for row in report.records(summary)]
-        for name, result in zip(names, summary["results"], strict=True):
+    parts: list[Scores] = []
+    for fold in folds:
+        weights = [name.replace(PLACEHOLDER, fold.name) for name in names]
+        parts.append(score_split(weights, fold, build, config, 0, None, None))
+        for name, result in zip(names, parts[-1].summary["results"], strict=True):
             folded[name][fold.name] = scores_of(result)
     comparison = compared(folded)
-    if as_json:
-        write_json(as_json, comparison, "--json")
-    if as_csv:
-        write_csv(as_csv, rows, "--csv")
-    note_licences(scored)
-    print(table(comparison))
-
-
-def score_fold(
-    names: Sequence[str], fold: Fold, build: Callable[[str], System], config: MetricConfig
-) -> tuple[dict[str, Any], list[SystemInfo]]:
-    """Score the systems of one fold and free them; return the scores, ready for JSON, and their weights."""
-    from lidar2pano.evaluate import report
-    from lidar2pano.evaluate.folds import weights_without
-
-    systems = [build(weights_without(name, fold)) for name in names]
-    return report.as_dict(score_place(systems, fold, config)), [system.info for system in systems]
+    rows = [{"fold": fold.name, **row} for fold, part in zip(folds, parts, strict=True) for row in part.rows]
+    return Scores(comparison, rows, table(comparison), [info for part in parts for info in part.scored])
 
 
 def score_place(
-    systems: Sequence[System],
-    place: Fold,
-    config: MetricConfig,
-    worst: int = 0,
-    preferences: Preferences | None = None,
+    systems: Sequence[System], place: Fold, config: MetricConfig, worst: int, preferences: Preferences | None
 ) -> Evaluation:
     """Score systems on all frames of a split, with a bar."""
     from lidar2pano.cli.console import bar
@@ -208,8 +189,13 @@ def score_place(
 
     scored, data = frames(place.root, place.split), place.root.resolve().name
     with bar(len(scored), f"evaluating {place.name}") as advance:
-        after_each = noted(preferences, advance)
-        return score(systems, scored, data=data, split=place.split, config=config, worst=worst, after_each=after_each)
+
+        def note(frame: Frame, evaluated: Sequence[EvaluatedSystem]) -> None:
+            if preferences:
+                preferences.take(frame.name, frame.image, [system.image for system in evaluated])
+            advance()
+
+        return score(systems, scored, data=data, split=place.split, config=config, worst=worst, after_each=note)
 
 
 def load_reaching(weights: str, device: str, engine: str, elevation: str) -> Pipeline:
@@ -222,42 +208,23 @@ def load_reaching(weights: str, device: str, engine: str, elevation: str) -> Pip
 
 def leave_out_cameras(
     weights: Sequence[str],
-    data: Path,
-    split: str,
+    place: Fold,
     leave_out: str,
     out: Path | None,
-    as_json: Path | None,
     patches: Mapping[str, PatchFeatures],
-    loader: Callable[[str], Pipeline],
-) -> None:
-    """Score the views of hidden cameras, write a sheet of each into `out`, and print a table."""
+    load: Callable[[str], Pipeline],
+) -> Scores:
+    """Score the views of hidden cameras, and write a sheet of each into `out`."""
     from lidar2pano.cli.console import bar
-    from lidar2pano.cli.options import write_json
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate.hidden_cameras import score_hidden, table
 
     if len(weights) != 1:
         raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
-    scored, pipeline = frames(data, split), loader(weights[0])
+    scored, pipeline = frames(place.root, place.split), load(weights[0])
     with bar(len(scored), f"hiding {leave_out}") as advance:
-        scores = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance)
-    summary = scores.as_dict()
-    if as_json:
-        write_json(as_json, summary, "--json")
-    print(table(summary))
-
-
-def noted(
-    preferences: Preferences | None, advance: Callable[[], None]
-) -> Callable[[Frame, Sequence[EvaluatedSystem]], None]:
-    """Return what is done after each frame: its pictures are kept, if there is a page, and the bar advances."""
-
-    def note(frame: Frame, systems: Sequence[EvaluatedSystem]) -> None:
-        if preferences:
-            preferences.take(frame.name, frame.image, [system.image for system in systems])
-        advance()
-
-    return note
+        summary = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance).as_dict()
+    return Scores(summary, [], table(summary), [])
 
 
 def refuse_beside(option: str, values: Mapping[str, object]) -> None:
@@ -280,12 +247,15 @@ def check_outputs(as_json: Path | None, as_csv: Path | None, *folders: Path | No
 
 def write_worst(evaluation: Evaluation, out: Path) -> None:
     """Write the sheets of the worst frames, a folder per system (1, 2, ...), and worst.csv with the list of them."""
+    from lidar2pano.formats.image_files import write_png, write_whole
+
     rows: list[dict[str, object]] = []
     for number, system in enumerate(evaluation.systems, 1):
-        paths = system.worst.write(out / str(number))
-        for rank, ((frame, metric, value), path) in enumerate(zip(system.worst.rows(), paths, strict=True), 1):
-            ranked = {"rank": rank, "frame": frame, "metric": metric, "value": value}
-            image = path.relative_to(out).as_posix() if path else ""
+        for rank, frame in enumerate(system.worst.held, 1):
+            image = f"{number}/{rank:03d}-{frame.name.replace('/', '-')}.png" if frame.sheet is not None else ""
+            if image:
+                write_whole(out / image, lambda file, sheet=frame.sheet: write_png(file, sheet))
+            ranked = {"rank": rank, "frame": frame.name, "metric": frame.metric, "value": frame.value}
             rows.append({"system": system.system.info.name, **ranked, "image": image})
     write_csv(out / "worst.csv", rows, "--out")
 

@@ -1,6 +1,6 @@
 """Evaluation of systems frame by frame: classes, images and depths, in the camera and in the 360-degree panorama.
 
-    system(weights, painter=None, device="auto", sensor="") -> System
+    system(weights, device="auto", sensor="") -> System
     score(systems, frames, *, data, split, config=None, after_each=...) -> Evaluation
     report.as_dict(evaluation) -> dict[str, Any]     ready for JSON; `table` is Markdown, `records` rows for CSV
 

@@ -26,7 +26,6 @@ from lidar2pano.evaluate.metric_collection import (
     MetricCollection,
     MetricConfig,
     MetricValue,
-    PreviousImage,
 )
 from lidar2pano.evaluate.panorama_system import Prediction, System, SystemInput
 from lidar2pano.evaluate.pictures import WorstFrame, WorstFrames, sheet
@@ -70,14 +69,16 @@ class EvaluatedSystem:
         for stage, value in prediction.milliseconds.items():
             self.milliseconds.setdefault(stage, []).append(value)
         self.metrics.points(frame, prediction)
-        self.metrics.camera(frame, prediction, _previous(self.image, flows.camera))
+        self.metrics.camera(frame, prediction)
+        self.metrics.warping("camera", prediction.image, self.image, flows.camera, frame.name)
         panorama = None
         if prediction.panorama is not None and frame.panorama is not None:
             panorama = resampled(prediction.panorama, frame.panorama.view)
-            previous = _previous(None if self.panorama is None else self.panorama.image, flows.panorama)
-            self.metrics.panorama(frame, panorama, prediction.painted, previous)
+            self.metrics.panorama(frame, panorama, prediction.painted)
             if prediction.painted:
                 self.metrics.seam(prediction.panorama.colour, frame.name)
+                previous = None if self.panorama is None else self.panorama.image
+                self.metrics.warping("panorama", panorama.image, previous, flows.panorama, frame.name)
             if "roll" in self.metrics.config.groups:
                 self._roll(frame.name, inputs, flows, prediction)
         self.image, self.panorama = prediction.image, panorama
@@ -111,9 +112,9 @@ class EvaluatedSystem:
 class Evaluation:
     """The result of `score`.
 
-    images     number of frames with camera labels;  scans: with point labels;  camera_images: with a camera image;
-               panoramas: with a ground-truth panorama, real ones stitched from `stitched_images` in all;
-               following: behind another frame of their sequence, both with poses.
+    counts     of frames: "images" with camera labels;  "scans" with point labels;  "camera_images" with a camera image;
+               "panoramas" with a ground-truth panorama, real ones stitched from "stitched_images" in all;
+               "following" another frame of their sequence, both with poses.
     pseudo_labels  number of frames by part ("point labels", ...) and hash of the teacher of its labels.
     reference  metrics of the ground truth itself: seams, warping error, re-segmentation.
     """
@@ -123,12 +124,7 @@ class Evaluation:
     config: MetricConfig
     data: str
     split: str
-    images: int = 0
-    scans: int = 0
-    camera_images: int = 0
-    panoramas: int = 0
-    stitched_images: int = 0
-    following: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
     pseudo_labels: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def target_classes(self, sector: str = "camera") -> list[int]:
@@ -169,7 +165,7 @@ def score(
     for frame in frames:
         _count_parts(result, frame)
         inputs, flows = system_input(frame, config), _flows(previous, frame, config)
-        result.following += flows.following
+        result.counts["following"] += flows.following
         for system in evaluated:
             system.evaluate(frame, inputs, flows)
         _count_reference(reference, previous, frame, flows)
@@ -212,9 +208,9 @@ def _count_parts(result: Evaluation, frame: Frame) -> None:
     if all(part is None for part in parts):
         raise InputError(f"{frame.name} has neither camera_labels/ nor labels/, and no image; label it first")
     for name, part in zip(("images", "scans", "camera_images", "panoramas"), parts, strict=True):
-        setattr(result, name, getattr(result, name) + (part is not None))
+        result.counts[name] += part is not None
     if isinstance(frame, SurroundFrame) and frame.panorama is not None:
-        result.stitched_images += len(frame.camera_names)
+        result.counts["stitched_images"] += len(frame.camera_names)
     result.pseudo_labels.update(pseudo_labels(frame).items())
 
 
@@ -234,17 +230,13 @@ def _count_reference(reference: MetricCollection, previous: Frame | None, frame:
     sectors, panorama = reference.config.sectors, frame.panorama
     if frame.image is not None and "camera" in sectors:
         reference.resegmentation(frame.image, frame)
-        if pair := _previous(None if previous is None else previous.image, flows.camera):
-            reference.warping("camera", frame.image, pair, frame.name)
+        image_before = None if previous is None else previous.image
+        reference.warping("camera", frame.image, image_before, flows.camera, frame.name)
     if panorama is None or "panorama" not in sectors:
         return
     rows = panorama.valid.all(1)
     if panorama.view.circular and rows.any():
         reference.seam(np.ascontiguousarray(panorama.image[rows]), frame.name)
-    previous_panorama = None if previous is None else previous.panorama
-    if pair := _previous(None if previous_panorama is None else previous_panorama.image, flows.panorama):
-        reference.warping("panorama", panorama.image, pair, frame.name)
-
-
-def _previous(image: np.ndarray | None, flow: Flow | None) -> PreviousImage | None:
-    return None if image is None or flow is None else PreviousImage(image=image, flow=flow)
+    panorama_before = None if previous is None else previous.panorama
+    image_before = None if panorama_before is None else panorama_before.image
+    reference.warping("panorama", panorama.image, image_before, flows.panorama, frame.name)

@@ -55,11 +55,6 @@ def parse_folds(texts: Iterable[str]) -> list[Fold]:
     return folds
 
 
-def weights_without(weights: str, fold: Fold) -> str:
-    """Return a name of weights with the name of the fold to be scored in the place of PLACEHOLDER."""
-    return weights.replace(PLACEHOLDER, fold.name)
-
-
 def summary_of(values: Sequence[float]) -> Summary:
     """Return the mean of values, one a fold, and its interval by Student's t distribution."""
     mean = statistics.mean(values)

@@ -19,6 +19,7 @@ from lidar2pano.evaluate.pictures import captioned
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
+from lidar2pano.markdown import markdown_table
 from lidar2pano.memory import Memory
 from lidar2pano.metrics.accumulation import FrameMetric, Interval, SetMetric, interval, set_intervals
 from lidar2pano.metrics.frame_metrics import SSIM, ClassColourError, FeatureDistance
@@ -116,11 +117,7 @@ def table(summary: Mapping[str, Any]) -> str:
     """Return the scores as Markdown: each metric by system, with 95 % intervals, and the ratio of the two."""
     first, second = (summary["systems"][system] for system in SYSTEMS)
     share = np.mean(list(summary["views"].values()))
-    lines = [
-        f"{len(summary['views'])} hidden views; the others see {share:.0%} of them.\n",
-        f"| metric | {SYSTEMS[0]} | {SYSTEMS[1]} | ratio |",
-        "| --- | --- | --- | --- |",
-    ]
+    rows: list[list[str]] = []
     for title, values in first.items():
         for name, value in values.items():
             second_value = second[title].get(name)
@@ -128,8 +125,9 @@ def table(summary: Mapping[str, Any]) -> str:
                 continue
             label = name if title in ("SSIM", COLOURS) else f"{title}: {name}"
             ratio = f"{second_value['value'] / value['value']:.2f}" if value["value"] else ""
-            lines.append(f"| {label} | {_shown(value)} | {_shown(second_value)} | {ratio} |")
-    return "\n".join(lines)
+            rows.append([label, _shown(value), _shown(second_value), ratio])
+    heading = f"{len(summary['views'])} hidden views; the others see {share:.0%} of them."
+    return f"{heading}\n\n{markdown_table(['metric', *SYSTEMS, 'ratio'], rows)}"
 
 
 def _shown(part: Mapping[str, float | None]) -> str:

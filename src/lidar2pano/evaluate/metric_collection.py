@@ -63,7 +63,6 @@ class ImageSegmenter:
 
     segmenter: CameraSegmenter
     features: FeatureExtractor
-    sha256: str
 
     def segment(self, image: np.ndarray) -> Tensor:
         """Return ids (h, w) uint8 of COMMON15 of an image (h, w, 3) uint8."""
@@ -174,7 +173,7 @@ def _image_segmenter(file: Path, device: torch.device) -> ImageSegmenter:
     network, card = load(file, device, expect="sdnet")
     segmenter = CameraSegmenter.from_card(network, card)
     features = FeatureExtractor(features=lambda images: _context(segmenter, images), sha256=card.sha256)
-    return ImageSegmenter(segmenter=segmenter, features=features, sha256=card.sha256)
+    return ImageSegmenter(segmenter=segmenter, features=features)
 
 
 def _context(segmenter: CameraSegmenter, images: Tensor) -> Tensor:
@@ -234,30 +233,7 @@ PANORAMA_NEED = "ground-truth panoramas"
 Metric = TypeVar("Metric", bound="FrameMetric | SetMetric")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MetricValue:
-    """One number of a system.
-
-    sector, name  e.g. "camera", "miou".
-    value         NaN if undefined;  low, high: its 95 % interval over resampled frames, for distances of sets by the
-                  jackknife (`accumulation.set_intervals`); NaN for fewer than LEAST_FRAMES.
-    frames        number of frames (for distances of sets: images).
-    """
-
-    sector: str
-    name: str
-    value: float
-    low: float = math.nan
-    high: float = math.nan
-    frames: int = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PreviousImage:
-    """The previous frame's image (H, W, 3) uint8 of a sector, and the flow to it, known of static pixels."""
-
-    image: np.ndarray
-    flow: Flow
+MetricValue = tuple[str, str, Interval]  # sector and name, e.g. "camera", "miou"
 
 
 class MetricCollection:
@@ -266,7 +242,6 @@ class MetricCollection:
     def __init__(self, config: MetricConfig) -> None:
         self.config = config
         self.metrics: dict[tuple[str, str], FrameMetric | SetMetric] = {}
-        self._distances: dict[tuple[str, str, int], dict[str, Interval]] = {}  # they cost seconds: made once
 
     def points(self, frame: Frame, prediction: Prediction) -> None:
         """Count the classes of the scan's points."""
@@ -275,7 +250,7 @@ class MetricCollection:
         metric = self._metric("points", "classes", partial(MeanIoU, SEMANTIC_KITTI, unscored=(0,)))
         metric.update(prediction.point_labels, frame.point_labels, frame.name)
 
-    def camera(self, frame: Frame, prediction: Prediction, previous: PreviousImage | None) -> None:
+    def camera(self, frame: Frame, prediction: Prediction) -> None:
         """Count the camera's image."""
         groups, image = self.config.groups, prediction.image
         if "classes" in groups and prediction.camera_labels is not None and frame.camera_labels is not None:
@@ -296,10 +271,8 @@ class MetricCollection:
             if (inception := self.config.inception) is not None:
                 make = partial(FrechetDistance, inception, name="FID")
                 self._metric("camera", "fid", make).update(image, frame.image, frame.name)
-        if "time" in groups and previous is not None:
-            self.warping("camera", image, previous, frame.name)
 
-    def panorama(self, frame: Frame, predicted: Resampled, painted: bool, previous: PreviousImage | None) -> None:
+    def panorama(self, frame: Frame, predicted: Resampled, painted: bool) -> None:
         """Count the panorama, on the ground truth's raster."""
         true, groups = frame.panorama, self.config.groups
         assert true is not None
@@ -314,8 +287,6 @@ class MetricCollection:
             swd = self._metric("panorama", "swd", SlicedWasserstein)
             for number, pair in enumerate(windows(predicted.image, true.image, true.valid)):
                 swd.update(*pair, f"{frame.name}#{number}")
-        if "time" in groups and previous is not None:
-            self.warping("panorama", predicted.image, previous, frame.name)
 
     def seam(self, image: np.ndarray, name: str) -> None:
         """Count the seam of a panorama (H, W, 3) uint8."""
@@ -337,10 +308,13 @@ class MetricCollection:
         target = CITYSCAPES_TO_COMMON15[frame.camera_labels]
         self._metric("camera", "resegmentation", _mean_iou).update(segmenter.segment(image), target, frame.name)
 
-    def warping(self, sector: str, image: np.ndarray, previous: PreviousImage, name: str) -> None:
-        """Count an image against the previous one, warped by the flow."""
-        metric = self._metric(sector, "warping", partial(WarpingError, circular=sector == "panorama"))
-        metric.update(previous.image, image, previous.flow.shift, name, valid=previous.flow.known)
+    def warping(
+        self, sector: str, image: np.ndarray | None, previous: np.ndarray | None, flow: Flow | None, name: str
+    ) -> None:
+        """Count an image against the previous one, warped by the flow; nothing where one of them is missing."""
+        if image is not None and previous is not None and flow is not None:
+            metric = self._metric(sector, "warping", partial(WarpingError, circular=sector == "panorama"))
+            metric.update(previous, image, flow.shift, name, valid=flow.known)
 
     def classes(self, sector: str) -> MeanIoU | None:
         """Return the class counts of a sector."""
@@ -358,15 +332,14 @@ class MetricCollection:
         """Yield every value, in the order of tables; `over`: per sector, ids of the classes in the mean IoU."""
         for (sector, key), metric in sorted(self.metrics.items(), key=lambda item: _order(item[0])):
             if isinstance(metric, SetMetric):
-                place = (sector, key, len(metric))
-                intervals = self._distances[place] = self._distances.get(place) or set_intervals(metric)
+                intervals = set_intervals(metric)
                 for name, title in NAMES[key].items():
-                    yield MetricValue(sector=sector, name=title, **intervals[name]._asdict())
+                    yield sector, title, intervals[name]
                 continue
             if isinstance(metric, MeanIoU):
                 metric = metric.averaged_over(over.get(sector, ()))  # noqa: PLW2901
             for name, title in NAMES[key].items():
-                yield MetricValue(sector=sector, name=title, **interval(metric, name)._asdict())
+                yield sector, title, interval(metric, name)
 
     def rank(self, name: str) -> tuple[str, float] | None:
         """Return the metric for a frame's rank, and its value; None if it has none."""

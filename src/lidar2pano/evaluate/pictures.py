@@ -9,7 +9,7 @@ import hashlib
 import heapq
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -50,18 +50,6 @@ class WorstFrames:
     def wanted(self, value: float) -> bool:
         """Return whether a frame of this value would be held."""
         return len(self.held) < self.number or value <= max(frame.value for frame in self.held)
-
-    def rows(self) -> Iterator[tuple[str, str, float]]:
-        """Yield name, metric and its value, the worst first."""
-        return ((frame.name, frame.metric, frame.value) for frame in self.held)
-
-    def write(self, folder: Path) -> list[Path | None]:
-        """Write the sheets into `folder`, the worst first: RANK-seq-NNNNNN.png; InputError on failure."""
-        paths: list[Path | None] = []
-        for rank, frame in enumerate(self.held, 1):
-            path, image = folder / f"{rank:03d}-{frame.name.replace('/', '-')}.png", frame.sheet
-            paths.append(None if image is None else write_whole(path, lambda file, image=image: write_png(file, image)))
-        return paths
 
 
 def sheet(frame: Frame, prediction: Prediction, panorama: Resampled | None) -> np.ndarray | None:

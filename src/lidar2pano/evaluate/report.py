@@ -13,21 +13,11 @@ from lidar2pano.markdown import markdown_table
 
 Entry = Mapping[str, Any]  # of "values": sector, name, value, low, high, frames; None where undefined
 Values = Mapping[tuple[str, str], Entry]  # by sector and name
-# role -> (sector, value) -> name in "score", which cards of released weights take over
+# role -> values of sectors, of which cards of released weights take over SECTOR_VALUE as "score"
 CARD_SCORES = {
-    "segmenter": {("points", "miou"): "point_miou", ("points", "accuracy"): "point_accuracy"},
-    "translator": {
-        ("camera", "miou"): "camera_miou",
-        ("camera", "accuracy"): "camera_accuracy",
-        ("panorama", "miou"): "panorama_miou",
-        ("panorama", "accuracy"): "panorama_accuracy",
-        ("panorama", "depth_abs_rel"): "panorama_depth_abs_rel",
-    },
-    "painter": {
-        (sector, name): f"{sector}_{name}"
-        for sector in ("camera", "panorama")
-        for name in ("ssim", "swd", "fid", "fsd", "resegmentation_miou", "warping_error")
-    },
+    "segmenter": (("points", "miou accuracy"),),
+    "translator": (("camera", "miou accuracy"), ("panorama", "miou accuracy depth_abs_rel")),
+    "painter": tuple((s, "ssim swd fid fsd resegmentation_miou warping_error") for s in ("camera", "panorama")),
 }
 CLASS_TABLES = {"camera": "classes", "panorama": "panorama_classes", "points": "point_classes"}  # sector -> key
 
@@ -78,10 +68,7 @@ def as_dict(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "data": evaluation.data,
         "split": evaluation.split,
-        "images": evaluation.images,
-        "scans": evaluation.scans,
-        "camera_images": evaluation.camera_images,
-        "panoramas": evaluation.panoramas,
+        **{name: evaluation.counts[name] for name in ("images", "scans", "camera_images", "panoramas")},
         "pseudo_labels": [
             {"part": part, "made_by": name, "frames": count}
             for (part, name), count in sorted(evaluation.pseudo_labels.items())
@@ -89,7 +76,7 @@ def as_dict(evaluation: Evaluation) -> dict[str, Any]:
         "metrics": list(config.groups),
         "sectors": list(config.sectors),
         "inception": config.inception.sha256 if config.inception else None,
-        "camera_segmenter": config.image_segmenter.sha256 if config.image_segmenter else None,
+        "camera_segmenter": config.image_segmenter.features.sha256 if config.image_segmenter else None,
         "classes": [COMMON15.classes[c] for c in evaluation.target_classes()],
         "panorama_classes": [COMMON15.classes[c] for c in evaluation.target_classes("panorama")],
         "heading": _heading(evaluation, [entry for result in results for entry in result["values"]]),
@@ -103,8 +90,13 @@ def _result(evaluation: Evaluation, system: EvaluatedSystem) -> dict[str, Any]:
     entries = [_entry(value) for value in evaluation.values(system.metrics)]
     values = by_name(entries)
     scores = {
-        role: {name: values[key]["value"] for key, name in names.items() if value_of(values, *key) is not None}
-        for role, names in CARD_SCORES.items()
+        role: {
+            f"{sector.removesuffix('s')}_{name}": value
+            for sector, names in sectors
+            for name in names.split()
+            if (value := value_of(values, sector, name)) is not None
+        }
+        for role, sectors in CARD_SCORES.items()
     }
     scores["renderer"] = scores["painter"]
     networks = system.system.info.networks
@@ -116,15 +108,15 @@ def _result(evaluation: Evaluation, system: EvaluatedSystem) -> dict[str, Any]:
         "score": {role: score | {"split": evaluation.split} for role, score in scores.items() if role in scored_roles},
         "milliseconds": {stage: round(value, 2) for stage, value in system.mean_milliseconds().items()},
         "values": entries,
-        "worst": [{"frame": name, "metric": metric, "value": value} for name, metric, value in system.worst.rows()],
+        "worst": [{"frame": one.name, "metric": one.metric, "value": one.value} for one in system.worst.held],
         **{key: [] if count is None else count.table() for key, count in counts.items()},
     }
 
 
 def _entry(value: MetricValue) -> dict[str, Any]:
-    numbers = {"value": value.value, "low": value.low, "high": value.high}
-    finite = {name: number if math.isfinite(number) else None for name, number in numbers.items()}
-    return {"sector": value.sector, "name": value.name, **finite, "frames": value.frames}
+    sector, title, part = value
+    finite = {name: number if math.isfinite(number) else None for name, number in part._asdict().items()}
+    return {"sector": sector, "name": title, **finite}
 
 
 def by_name(entries: Iterable[Entry]) -> dict[tuple[str, str], Entry]:
@@ -140,14 +132,15 @@ def value_of(values: Values, sector: str, name: str) -> float | None:
 
 def _heading(evaluation: Evaluation, entries: Sequence[Entry]) -> str:
     """Describe the data, the metrics and their limits; entries: of all systems."""
-    present = evaluation.target_classes() or ([] if evaluation.images else evaluation.target_classes("panorama"))
+    counts = evaluation.counts
+    present = evaluation.target_classes() or ([] if counts["images"] else evaluation.target_classes("panorama"))
     missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
-    images, stitched = max(evaluation.images, evaluation.camera_images), evaluation.stitched_images
+    images, stitched = max(counts["images"], counts["camera_images"]), counts["stitched_images"]
     sort = "images of the front camera" if stitched else "camera images"
     cameras = f"{images} {sort}, each scored as a whole at its own size, " if evaluation.config.has("camera") else ""
     parts = [
-        f"`{evaluation.split}` of {evaluation.data}: {cameras}predicted from the scan alone; {evaluation.scans} scans"
+        f"`{evaluation.split}` of {evaluation.data}: {cameras}predicted from the scan alone; {counts['scans']} scans"
         f" with point labels. Pixels whose target is unlabeled, sky or unknown are not scored; predictions of unlabeled"
         f" or sky count as wrong."
     ]
@@ -160,13 +153,13 @@ def _heading(evaluation: Evaluation, entries: Sequence[Entry]) -> str:
     names = {entry["name"] for entry in entries}
     if names & {"ssim", "swd"}:
         parts.append(
-            f"Colours: against the camera's images ({evaluation.camera_images}), resized to 1024 x 1024 for SWD."
+            f"Colours: against the camera's images ({counts['camera_images']}), resized to 1024 x 1024 for SWD."
         )
         if evaluation.config.inception is None:
             parts.append("FID: not measured, no Inception weights were given.")
-    if evaluation.panoramas and evaluation.config.has("panorama"):
+    if counts["panoramas"] and evaluation.config.has("panorama"):
         parts.append(
-            f"Panorama: against ground-truth panoramas ({evaluation.panoramas}"
+            f"Panorama: against ground-truth panoramas ({counts['panoramas']}"
             f"{f', of {stitched} camera images' if stitched else ''}), on their raster, where they are valid; SWD in"
             " quarters."
         )
@@ -184,7 +177,7 @@ def _unmeasured(evaluation: Evaluation, entries: Iterable[Entry]) -> Iterable[st
             value, need = LEADING[group]
             if group in ABSENT.get(sector, LEADING.keys() - {"points"}) or (sector, value) in measured:
                 continue
-            if sector == "panorama" and not evaluation.panoramas:
+            if sector == "panorama" and not evaluation.counts["panoramas"]:
                 titles[PANORAMA_NEED] = [sector]
             else:
                 titles.setdefault(need, []).append(group if sector == "points" else f"{sector} {group}")
@@ -203,7 +196,7 @@ def _reservations(evaluation: Evaluation) -> Iterable[str]:
     if oracles:
         yield f"Input is the camera's ground-truth labels, not the scan: {', '.join(oracles)}."
     steady = [system.info.name for system in systems if getattr(system, "steady", False)]
-    if steady and evaluation.following:
+    if steady and evaluation.counts["following"]:
         yield f"Input is the sensor's pose beside the scan: {', '.join(steady)}."
     elif steady:
         yield f"Not smoothed over time, because no frame with a pose follows another: {', '.join(steady)}."

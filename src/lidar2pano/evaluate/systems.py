@@ -212,7 +212,6 @@ def _resized(layers: Tensor, size: tuple[int, int]) -> Tensor:
 
 def system(
     weights: str | Path,
-    painter: str | Path | None = None,
     device: str = "auto",
     sensor: str = "",
     engine: str = "torch",
@@ -223,15 +222,15 @@ def system(
     weights  a family, a run, a folder of weight files or a file; several joined by "+" are one system, in which later
              ones take the places of earlier ones. By the cards: titan-pano (`PanoramaSystem`); titan, titan-next or
              pix2pix for classes (`CameraTranslator`); scunet, or titan or pix2pix for colours (`CameraRenderer`).
-             "oracle": `Oracle`, with a painter. Segmenters that are not named, and titan-pano's painter, are the
-             default family's. "+steady" behind a titan-pano: temporal smoothing by the sensor's poses.
-    painter  the same as "WEIGHTS+PAINTER". Behind a `CameraTranslator` or "oracle" only vid2vid paints.
+             "oracle": `Oracle`, with a painter. Behind a `CameraTranslator` or "oracle" only vid2vid paints.
+             Segmenters that are not named, and titan-pano's painter, are the default family's.
+             "+steady" behind a titan-pano: temporal smoothing by the sensor's poses.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
     engine   what computes the networks of a pipeline, as for pipeline.load; others run in torch.
     elevation  as for Pipeline.reaching, "" for the usual rows.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
-    parts = families.chained(weights) + ([] if painter is None else [str(painter)])
+    parts = families.chained(weights)
     if not elevation:
         return _system(parts, device, sensor, engine)
     elevation_range(elevation)
