@@ -209,9 +209,9 @@ def test_depth_is_scored_where_it_is_measured():
 def test_depths_that_are_no_numbers_or_of_another_shape_are_refused():
     flat = np.ones((2, 3))
     for predicted, target, complaint in (
-        (np.where(flat > 0, np.nan, 0), flat, "predicted depth"),
+        (np.where(flat > 0, np.nan, 0), flat, "is not finite"),
         (flat, flat * np.nan, "target depth"),
-        (flat * np.inf, flat, "predicted depth"),
+        (flat * np.inf, flat, "is not finite"),
         (flat, flat[:1], "differ in shape"),
     ):
         with pytest.raises(ValueError, match=complaint):
@@ -321,7 +321,10 @@ def test_roll_error_of_what_knows_no_direction_and_of_what_does():
 
 @pytest.mark.parametrize(
     ("answer", "turned", "complaint"),
-    [(torch.zeros(2, 3), torch.zeros(2, 4), "differ in shape"), (torch.zeros(3), torch.full((3,), torch.nan), "NaN")],
+    [
+        (torch.zeros(2, 3), torch.zeros(2, 4), "differ in shape"),
+        (torch.zeros(3), torch.full((3,), torch.nan), "not finite"),
+    ],
 )
 def test_answers_that_cannot_be_compared_are_refused(answer, turned, complaint):
     with pytest.raises(ValueError, match=complaint):

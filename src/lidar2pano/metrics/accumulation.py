@@ -64,14 +64,6 @@ def mask_tensor(values: Array | None, shape: tuple[int, ...] | torch.Size, name:
     return tensor
 
 
-def finite(values: Tensor, name: str) -> Tensor:
-    """Return the values as float64; ValueError when one is NaN or infinite."""
-    values = values.double()
-    if not values.isfinite().all():
-        raise ValueError(f"{name} has values that are NaN or infinite")
-    return values
-
-
 # --- accumulation -----------------------------------------------------------------------------------------------------
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from torch.nn.functional import conv2d, max_pool2d, normalize, pad
 
 from lidar2pano.geometry.camera import Lookup
 from lidar2pano.labels import COMMON15
-from lidar2pano.metrics.accumulation import Array, FrameMetric, as_tensor, finite, image_pair, image_tensor, mask_tensor
+from lidar2pano.metrics.accumulation import Array, FrameMetric, as_tensor, image_pair, image_tensor, mask_tensor
 
 # IEC 61966-2-1: linear sRGB -> XYZ; the white point is D65
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
@@ -96,7 +97,24 @@ class ClassColourError(FrameMetric):
             }
 
 
-class SSIM(FrameMetric):
+class MeanMetric(FrameMetric):
+    """The mean of a quantity over what is counted of all frames; `title` is its name."""
+
+    title: ClassVar[str]
+
+    def __init__(self) -> None:
+        super().__init__("sum", "count")
+
+    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the mean."""
+        return {self.title: sums[..., 0] / sums[..., 1]}
+
+    def _keep_mean(self, name: str, values: Tensor) -> None:
+        """Keep the mean of a frame, as one; a frame without values does not count."""
+        self._keep(name, float(values.double().mean()) if values.numel() else 0.0, float(values.numel() > 0))
+
+
+class SSIM(MeanMetric):
     """Structural similarity, Wang et al. 2004, equation 13: the mean over the frames of each frame's mean.
 
     Gaussian window of 11 x 11 pixels, sigma 1.5; K 0.01 and 0.03; a data range of 255; each colour on its own, then
@@ -104,8 +122,7 @@ class SSIM(FrameMetric):
     al. and scikit-image have it; torchmetrics mirrors the image beyond its borders and counts those windows too).
     """
 
-    def __init__(self) -> None:
-        super().__init__("ssim", "frames")
+    title = "SSIM"
 
     def update(self, predicted: Array, target: Array, name: str, *, valid: Array | None = None) -> None:
         """Count the frame `name`: images (H, W, 3) uint8.
@@ -118,11 +135,7 @@ class SSIM(FrameMetric):
         mask = mask_tensor(valid, (values.shape[0] + 2 * REACH, values.shape[1] + 2 * REACH), "valid")
         if mask is not None:
             values = values[max_pool2d((~mask).float()[None, None], WINDOW, 1)[0, 0] == 0]
-        self._keep(name, float(values.double().mean()) if values.numel() else 0.0, float(values.numel() > 0))
-
-    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the mean over frames."""
-        return {"SSIM": sums[..., 0] / sums[..., 1]}
+        self._keep_mean(name, values)
 
 
 def ssim_map(predicted: Array, target: Array) -> Tensor:
@@ -156,16 +169,18 @@ def _similarity(means: Tensor) -> Tensor:
     return luminance * (2 * covariance + c2) / (variances + c2)
 
 
-class FeatureDistance(FrameMetric):
+class FeatureDistance(MeanMetric):
     """Distance of an image from the real one by the features of a network, in [0, 2] for features of no sign.
 
     Zhang et al. 2018 (LPIPS), equation 1, at one depth and without learned weights: the squared difference of the
     features at a place, each of length 1, as a mean over an image's places and then over the frames.
     """
 
+    title = "distance"
+
     def __init__(self, extract: Callable[[Tensor], Tensor], down: int) -> None:
         """extract: (B, 3, H, W) uint8 -> (B, D, H / down, W / down) float features."""
-        super().__init__("distance", "frames")
+        super().__init__()
         self.extract, self.down = extract, down
 
     def update(self, predicted: Array, target: Array, name: str, *, valid: Array | None = None) -> None:
@@ -178,11 +193,7 @@ class FeatureDistance(FrameMetric):
         if mask is not None:
             holes = pad((~mask).float()[None], (0, -mask.shape[1] % self.down, 0, -mask.shape[0] % self.down))
             distances = distances[max_pool2d(holes, self.down)[0] == 0]
-        self._keep(name, float(distances.double().mean()) if distances.numel() else 0.0, float(distances.numel() > 0))
-
-    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the mean over frames."""
-        return {"distance": sums[..., 0] / sums[..., 1]}
+        self._keep_mean(name, distances)
 
 
 # --- depth ------------------------------------------------------------------------------------------------------------
@@ -211,7 +222,7 @@ class DepthError(FrameMetric):
         if target.isnan().any():
             raise ValueError("the target depth has values that are NaN or infinite")
         scored = target > 0
-        depth, true = finite(predicted[scored], "the predicted depth"), finite(target[scored], "the target depth")
+        depth, true = predicted[scored].double(), target[scored].double()
         error = depth - true
         near = (depth < NEAR_ENOUGH * true) & (true < NEAR_ENOUGH * depth)
         sums = ((error.abs() / true).sum(), error.square().sum(), near.sum(), near.numel())
@@ -253,17 +264,19 @@ class SeamRatio(FrameMetric):
         return {"seam ratio": sums[..., 0] / sums[..., 1], "seam ratio nearby": sums[..., 0] / sums[..., 2]}
 
 
-class RollError(FrameMetric):
+class RollError(MeanMetric):
     """Difference between f(rotated x) and rotated f(x): zero for a network with the same output in all directions.
 
     Of quantities (colours, depth, logits) the mean |difference| in their own unit; of class ids the share of different
     pixels.
     """
 
+    title = "roll error"
+
     def __init__(self, *, ids: bool = False) -> None:
         """ids: the outputs are class ids."""
         self.ids = ids
-        super().__init__("off", "values")
+        super().__init__()
 
     def update(self, output: Array, rotated_output: Array, columns: int, name: str) -> None:
         """Count the frame `name`.
@@ -275,16 +288,10 @@ class RollError(FrameMetric):
         if straight.shape != rotated.shape:
             raise ValueError(f"output {tuple(straight.shape)} and rotated {tuple(rotated.shape)} differ in shape")
         off = rotated - straight.roll(columns, -1)
-        if not off.isfinite().all():
-            raise ValueError("an output has values that are NaN or infinite")
         self._keep(name, float((off != 0).sum() if self.ids else off.abs().sum()), off.numel())
 
-    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the mean over values."""
-        return {"roll error": sums[..., 0] / sums[..., 1]}
 
-
-class WarpingError(FrameMetric):
+class WarpingError(MeanMetric):
     """Mean squared difference (R, G, B in [0, 1]) between an image and the warped previous one.
 
     Lai et al. 2018 (arXiv:1808.00449), section 4.2: sum of M |V_t - warped V_(t-1)|^2 / sum of M, M: visible in both;
@@ -292,10 +299,12 @@ class WarpingError(FrameMetric):
     compare with it.
     """
 
+    title = "warping error"
+
     def __init__(self, *, circular: bool = False) -> None:
         """circular: the images' last column is next to their first."""
         self.circular = circular
-        super().__init__("squares", "pixels")
+        super().__init__()
 
     def update(self, previous: Array, current: Array, flow: Array, name: str, *, valid: Array | None = None) -> None:
         """Count the frame `name`.
@@ -329,7 +338,3 @@ class WarpingError(FrameMetric):
         if not self.circular:
             inside &= (column >= 0) & (column < columns)
         return Lookup(row=row, column=column, valid=inside, circular=self.circular)
-
-    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the mean over pixels."""
-        return {"warping error": sums[..., 0] / sums[..., 1]}

@@ -76,16 +76,17 @@ class SlicedWasserstein(SetMetric):
 # --- images to descriptors ----------------------------------------------------------------------------------------
 
 
-def pyramid(image: Tensor) -> list[Tensor]:
+def pyramid(image: Tensor, border: str = "reflect") -> list[Tensor]:
     """Return the Gaussian pyramid of an image (3, H, W): (3, L, L) float32 for every L of LEVELS, in [0, 255].
 
     The image is resized to the largest bilinearly with antialiasing, as Pillow does; the paper names no method. Each
-    level is blurred, mirrored about the outermost pixels, and every other pixel kept.
+    level is blurred, with its `border` as in torch's `pad` (mirrored about the outermost pixels), and every other pixel
+    kept.
     """
     size = (LEVELS[0], LEVELS[0])
     levels = [interpolate(image[None].float().contiguous(), size, mode="bilinear", antialias=True)]
     for _ in LEVELS[1:]:
-        levels.append(conv2d(pad(levels[-1], MARGIN, mode="reflect"), BLUR, stride=2, groups=3))
+        levels.append(conv2d(pad(levels[-1], MARGIN, mode=border), BLUR, stride=2, groups=3))
     return [level[0] for level in levels]
 
 
@@ -96,13 +97,18 @@ def descriptors(levels: list[Tensor], places: np.ndarray) -> np.ndarray:
     places  (levels, PATCHES, 2) int64: row and column of each patch's centre.
     A level of the Laplacian pyramid is the Gaussian one minus the upsampled next one (Burt and Adelson 1983).
     """
-    reach = torch.arange(PATCH) - REACH
+    corners = torch.from_numpy(places - REACH)
     patches = []
     for number, level in enumerate(levels):
         band = level if number + 1 == len(levels) else level - _upsampled(levels[number + 1])
-        row, column = (torch.from_numpy(places[number, :, axis, None]) + reach for axis in (0, 1))  # (PATCHES, 7) each
-        patches.append(band[:, row[:, :, None], column[:, None, :]].movedim(0, 1).reshape(len(row), -1))
+        patches.append(_cut(band, corners[number, :, 0], corners[number, :, 1]).flatten(1))
     return torch.stack(patches).numpy()
+
+
+def _cut(level: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """Return patches (P, 3, PATCH, PATCH) of a level (3, n, n), with their first rows and columns (P,)."""
+    row, column = (first[:, None] + torch.arange(PATCH) for first in (rows, columns))
+    return level[:, row[:, :, None], column[:, None, :]].movedim(1, 0)
 
 
 def _upsampled(x: Tensor) -> Tensor:
@@ -172,16 +178,12 @@ def stream(seed: int, *names: str) -> np.random.Generator:
 class PairwiseSlicedWasserstein(FrameMetric):
     """SWD of image pairs: the mean over the levels, then each level; means over frames. TITAN-Net's paper prints it.
 
-    The paper names Karras et al. 2018 and prints 1.4 to 4.8 "x 10^3". Between the patches of two whole sets (their
-    definition, `SlicedWasserstein`) distances times 1000 are some 5 for similar images and hundreds for different
-    ones. The paper's numbers are those of a public PyTorch version, https://github.com/koshian2/swd-pytorch (MIT), of
-    one generated image and its real one at a time, in thousands. That version
-      - divides a random direction by the standard deviation of its 147 numbers, not by its length, which makes
+    Its numbers, 1.4 to 4.8 "x 10^3", are those of https://github.com/koshian2/swd-pytorch (MIT), of one generated image
+    and its real one at a time; ours is 1/1000 of them. That version differs from Karras et al. (`SlicedWasserstein`):
+      - it divides a random direction by the standard deviation of its 147 numbers, not by its length, which makes
         distances 147 ** 0.5 = 12.1 times as large, and multiplies by 1000;
-      - cuts patches at the same random places of both images; pads with zeros; doubles pixels before it blurs.
-    Two unrelated photographs of KITTI are at 2.2 at every level but the last and at 5.0 there, 2.6 on the mean; the
-    paper's systems are at 1.8 to 2.9. So this distance says little about images.
-    Our number is 1/1000 of this version's, averaged over frames.
+      - it cuts patches at the same random places of both images; pads with zeros; doubles pixels before it blurs.
+    Two unrelated photographs of KITTI are at 2.6, the paper's systems at 1.8 to 2.9: it says little about images.
     """
 
     def __init__(self, *, seed: int = 0) -> None:
@@ -215,18 +217,13 @@ def pair_distances(predicted: Tensor, target: Tensor, seed: int, name: str) -> l
 
 def laplacian_pyramid(image: Tensor) -> list[Tensor]:
     """Return (3, L, L) float32 for every L of LEVELS: differences, and the low-pass rest. Image (3, H, W) uint8."""
-    size = (LEVELS[0], LEVELS[0])
-    blurred = [interpolate(image[None].float().contiguous(), size, mode="bilinear", antialias=True)]
-    for _ in LEVELS[1:]:
-        blurred.append(conv2d(blurred[-1], BLUR, stride=2, padding=2, groups=3))
-    doubled = [conv2d(interpolate(level, scale_factor=2), BLUR, padding=2, groups=3) for level in blurred[1:]]
-    return [*((a - b)[0] for a, b in zip(blurred, doubled, strict=False)), blurred[-1][0]]
+    blurred = pyramid(image, "constant")
+    doubled = [conv2d(interpolate(level[None], scale_factor=2), BLUR, padding=2, groups=3)[0] for level in blurred[1:]]
+    return [*(a - b for a, b in zip(blurred, doubled, strict=False)), blurred[-1]]
 
 
 def _patches(level: Tensor, places: Tensor, across: int) -> Tensor:
     """Return patches (P, SIZE) with upper left pixels of numbers `places`; mean 0 and deviation 1 of each colour."""
-    reach = torch.arange(PATCH)
-    row, column = (first[:, None] + reach for first in (places // across, places % across))
-    cut = level[:, row[:, :, None], column[:, None, :]].movedim(1, 0)  # (P, 3, 7, 7)
+    cut = _cut(level, places // across, places % across)
     deviation, mean = torch.std_mean(cut, dim=(0, 2, 3), keepdim=True)
     return ((cut - mean) / (deviation + 1e-8)).reshape(len(places), -1)
