@@ -15,12 +15,11 @@ from lidar2pano.viewer.page import (
     NEAREST_M,
     Coding,
     chosen_points,
-    class_image,
+    code_image,
     coding_for,
     colour_image,
-    confidence_image,
+    confidence_codes,
     depth_codes,
-    depth_image,
     point_bytes,
 )
 from small_panoramas import small_panorama
@@ -50,9 +49,11 @@ def points_slowly(data: bytes, count: int) -> np.ndarray:
 def test_few_frames_are_exact():
     around = small_panorama()
     np.testing.assert_array_equal(pixels(colour_image(around.colour, EXACT)), around.colour)
-    np.testing.assert_array_equal(pixels(class_image(around.segments, EXACT))[..., 0], around.segments)
-    np.testing.assert_array_equal(pixels(depth_image(around.depth_m, EXACT))[..., 1], depth_codes(around.depth_m))
-    levels = pixels(confidence_image(around.confidence, EXACT))[..., 0]
+    np.testing.assert_array_equal(pixels(code_image(around.segments, 1))[..., 0], around.segments)
+    np.testing.assert_array_equal(
+        pixels(code_image(depth_codes(around.depth_m), 1))[..., 1], depth_codes(around.depth_m)
+    )
+    levels = pixels(code_image(confidence_codes(around.confidence), 1))[..., 0]
     np.testing.assert_allclose(levels / CONFIDENCE_STEPS, around.confidence, atol=0.5 / CONFIDENCE_STEPS + 1e-6)
     see_through = np.dstack([around.colour, around.segments * 17])
     np.testing.assert_array_equal(pixels(colour_image(see_through, EXACT)), see_through)
@@ -67,9 +68,13 @@ def test_drives_are_smaller(frames, coarser, depth_coarser):
     assert found.shape == (96 // coarser, 1152 // coarser, 3)
     assert np.abs(found[::, ::, 1].astype(int) - smooth[::coarser, ::coarser, 1]).mean() < 4
     middle = coarser // 2
-    classes = pixels(class_image(around.segments, coding))[..., 0]
+    classes = pixels(code_image(around.segments, coding.coarser))[..., 0]
     np.testing.assert_array_equal(classes, around.segments[middle::coarser, middle::coarser])
-    assert pixels(depth_image(around.depth_m, coding)).shape == (96 // depth_coarser, 1152 // depth_coarser, 3)
+    assert pixels(code_image(depth_codes(around.depth_m), coding.depth_coarser)).shape == (
+        96 // depth_coarser,
+        1152 // depth_coarser,
+        3,
+    )
 
 
 def test_depth_codes_are_equal_steps_of_the_logarithm():

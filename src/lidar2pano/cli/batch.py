@@ -148,18 +148,20 @@ def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], b
 
 def translate_all(paths: Sequence[Path], options: Options, places: Sequence[Place], follow: bool) -> int:
     """Translate scans, those of a growing folder, or a map seen from places; returns the exit code."""
-    if places:
-        return translate_places(paths, places, options)
-    return translate_followed(paths, options) if follow else translate_files(paths, options)
+    return translate_followed(paths, options) if follow else translate_files(paths, options, places)
 
 
-def translate_files(paths: Iterable[Path], options: Options) -> int:
-    """Translate the scans of `paths` and return the exit code: a bad scan is reported, the others go on.
+def translate_files(paths: Iterable[Path], options: Options, places: Sequence[Place] = ()) -> int:
+    """Translate the scans of `paths`, or the views from places in their map; return the exit code.
 
-    Scans of one folder are one stream. Weights are loaded when the first scan has been read.
+    A bad scan is reported, the others go on; a map needs all files. Scans of one folder are one stream. Weights are
+    loaded when the first scan has been read.
     """
     with spooled(paths) as sources:
         files, failed = gather_files(sources, options)
+        if places:
+            readings = () if failed else place_readings(files, places, options.sensor, options.reading)
+            return MISTAKE if failed or translate_readings(readings, len(places), options) else 0
         stems = output_stems(files)
         if renamed := sum(stems[file] != stem_of(file) for file in files):
             print_note(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
@@ -168,16 +170,6 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
         readings = StreamReader(options.reading)(scans)
         failed |= translate_readings(readings, len(files) if countable else 0, options)
     return MISTAKE if failed else 0
-
-
-def translate_places(paths: Iterable[Path], places: Sequence[Place], options: Options) -> int:
-    """Translate the views from places in the map of `paths`, and return the exit code, as `translate_files`."""
-    with spooled(paths) as sources:
-        files, failed = gather_files(sources, options)
-        if failed:
-            return MISTAKE
-        readings = place_readings(files, places, options.sensor, options.reading)
-        return MISTAKE if translate_readings(readings, len(places), options) else 0
 
 
 def translate_followed(paths: Sequence[Path], options: Options) -> int:
@@ -194,7 +186,9 @@ def translate_readings(readings: Iterable[Reading], total: int, options: Options
     with options.common.opened(options.weights) as common, bar(total, "translating") as advance:
 
         def sink(translation: Translation) -> list[Path]:
-            check_strictly(translation, options)
+            if options.reading.strict and (doubts := translation.camera_doubts):  # of scans, errors already
+                title = translation.reading.source.title
+                raise InputError(f"{title}: {doubts[0]} (an error because of --strict)")
             reporter.warn(translation)
             reporter.note_licence(translator.pipeline)  # before the first panorama is written
             return write_outputs(translation, options, common)
@@ -212,13 +206,6 @@ def translate_readings(readings: Iterable[Reading], total: int, options: Options
             if path and not options.as_json:
                 print(path, flush=True)
     return reporter.failed
-
-
-def check_strictly(translation: Translation, options: Options) -> None:
-    """Raise InputError for a doubtful camera, with --strict; doubtful scans are errors of their reading already."""
-    doubts = translation.camera_doubts
-    if options.reading.strict and doubts:
-        raise InputError(f"{translation.reading.source.title}: {doubts[0]} (an error because of --strict)")
 
 
 def write_outputs(translation: Translation, options: Options, common: Iterable[Output]) -> list[Path]:

@@ -245,22 +245,17 @@ def parse_save(text: str, extra: bool = False) -> tuple[str, ...]:
     return tuple(name for name in outputs if name in names or ("all" in names and name in OUTPUTS))
 
 
-def parse_format(name: str) -> str:
-    """Return --format's name, one of COLOUR_FORMATS."""
-    from lidar2pano.formats.image_files import COLOUR_FORMATS
-
-    if name not in COLOUR_FORMATS:
-        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
-    return name
-
-
 def collect_pictures(image_format: str, projection: str) -> dict[str, str]:
     """Return --format and --projection as fields of `batch.Options`."""
+    from lidar2pano.formats.image_files import COLOUR_FORMATS
     from lidar2pano.geometry.camera import PROJECTIONS
 
+    if image_format not in COLOUR_FORMATS:
+        known = closest(image_format, COLOUR_FORMATS)
+        raise InputError(f"--format {image_format!r}: no format for colour images{known}")
     if projection not in PROJECTIONS:
         raise InputError(f"--projection {projection!r}: is no projection{closest(projection, PROJECTIONS)}")
-    return {"image_format": parse_format(image_format), "projection": projection}
+    return {"image_format": image_format, "projection": projection}
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -306,5 +301,4 @@ def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
     """Write `value` as JSON, beside and then renamed; InputError for an unwritable file."""
     from lidar2pano.formats.image_files import write_text
 
-    text = json.dumps(value, indent=2, allow_nan=False) + "\n"
-    write_text(path, text, option)
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n", option)

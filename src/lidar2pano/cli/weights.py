@@ -32,9 +32,8 @@ def list_families() -> None:
         licences = ", ".join(sorted({card.licence or "not stated" for card in cards}))
         print(f"{name}{' (default)' if name == default else ''}  {size:.1f} MiB  licence {licences}")
         for file, card in zip(files, cards, strict=True):
-            line = (
-                f"  {role(card) or 'no role'}: {card.network}, {file.stat().st_size / MIB:.1f} MiB  {score_line(card)}"
-            )
+            score = ", ".join(f"{name} {short(value)}" for name, value in card.score.items())
+            line = f"  {role(card) or 'no role'}: {card.network}, {file.stat().st_size / MIB:.1f} MiB  {score}"
             print(line.rstrip())
 
 
@@ -98,11 +97,6 @@ def import_files(
     except ValueError as error:
         raise InputError(f"{', '.join(map(str, files))}: {error}; give another checkpoint") from error
     print(f"{target}: {card.network}, licence: {card.licence}")
-
-
-def score_line(card: Card) -> str:
-    """Return the card's score on one line."""
-    return ", ".join(f"{name} {short(value)}" for name, value in card.score.items())
 
 
 def lines_of(card: Card) -> list[str]:

@@ -32,7 +32,6 @@ from lidar2pano.serve.uploads import (
     Limits,
     Query,
     Result,
-    UnknownParameter,
     UploadTranslator,
     file_of_form,
     parse_query,
@@ -134,7 +133,7 @@ class Service:
             self.measurements.seconds.observe(time.monotonic() - begin)
 
     async def _admitted(self, request: Request) -> Response:
-        query = _query(request)
+        query = parse_query(request.query_params)
         if self._taken >= self.limits.waiting:
             wait_s = math.ceil(self._taken * self._usual_seconds)
             raise HTTPException(429, "the queue is full; try again later", {"Retry-After": str(max(1, wait_s))})
@@ -241,14 +240,6 @@ class Service:
         return Response(
             self.measurements.text(), media_type="text/plain; version=0.0.4; charset=utf-8", headers=HEADERS
         )
-
-
-def _query(request: Request) -> Query:
-    """Return a request's parameters; HTTPException for unknown ones."""
-    try:
-        return parse_query(request.query_params)
-    except UnknownParameter as error:
-        raise HTTPException(400, str(error)) from None
 
 
 def _doubts(result: Result) -> dict[str, str]:

@@ -11,7 +11,6 @@ import secrets
 import tempfile
 import time
 import zipfile
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from email.parser import BytesHeaderParser
 from pathlib import Path
 
 from starlette.datastructures import QueryParams
+from starlette.exceptions import HTTPException
 
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, read_scan
 from lidar2pano.errors import InputError, closest
@@ -95,21 +95,21 @@ class KeptResults:
 
     def __init__(self, limits: Limits, clock: Callable[[], float] = time.monotonic) -> None:
         self._limits, self._clock = limits, clock
-        self._kept: OrderedDict[str, tuple[float, Result]] = OrderedDict()
+        self._kept: dict[str, tuple[float, Result]] = {}  # the oldest first
 
     def keep(self, result: Result) -> str:
         """Keep a result and return its name."""
         name = secrets.token_urlsafe(16)
         self._kept[name] = (self._clock(), result)
         while len(self._kept) > self._limits.kept:
-            self._kept.popitem(last=False)
+            del self._kept[next(iter(self._kept))]
         return name
 
     def get(self, name: str) -> Result | None:
         """Return the result of this name, None if there is none (any more)."""
         oldest = self._clock() - self._limits.kept_seconds
         while self._kept and next(iter(self._kept.values()))[0] < oldest:
-            self._kept.popitem(last=False)
+            del self._kept[next(iter(self._kept))]
         kept = self._kept.get(name)
         return kept and kept[1]
 
@@ -159,8 +159,9 @@ def _result(translation: Translation, save: tuple[str, ...], folder: Path, weigh
         paths = panorama.save(folder, parts, None, translation.reading.source.stem)
         files = dict(zip(parts, (file.read_bytes() for file in paths), strict=True))
     if PAGE in save:
-        with timer("page"):
-            files[PAGE] = _page_of(translation, folder / FILES[PAGE], weights)
+        with timer("page"), closing(PageWriter("panorama", facts_of(weights, scan))) as writer:
+            writer.add(page_frame(panorama, scan, "scan"))
+            files[PAGE] = writer.write(folder / FILES[PAGE]).read_bytes()
     return Result(
         files=files,
         points=len(scan),
@@ -168,15 +169,6 @@ def _result(translation: Translation, save: tuple[str, ...], folder: Path, weigh
         milliseconds=translation.counts()["milliseconds"],
         doubts=translation.doubts,
     )
-
-
-def _page_of(translation: Translation, path: Path, weights: str) -> bytes:
-    """Return the bytes of a page to look around in a panorama, by way of a file at `path`."""
-    panorama, scan = translation.panorama, translation.reading.scan
-    assert panorama and scan
-    with closing(PageWriter("panorama", facts_of(weights, scan))) as writer:
-        writer.add(page_frame(panorama, scan, "scan"))
-        return writer.write(path).read_bytes()
 
 
 def known_ending(name: str) -> str:
@@ -196,10 +188,6 @@ def parse_parts(text: str) -> tuple[str, ...]:
     return tuple(name for name in FILES if name in names)
 
 
-class UnknownParameter(InputError):
-    """A query parameter without a meaning."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Query:
     """A request's parameters.
@@ -215,13 +203,12 @@ class Query:
 
 
 def parse_query(parameters: QueryParams) -> Query:
-    """Return a request's parameters; UnknownParameter for an unknown or repeated name, InputError for another fault."""
+    """Return a request's parameters; HTTPException for an unknown or repeated name, else InputError for a fault."""
     if unknown := [name for name in parameters if name not in PARAMETERS]:
-        raise UnknownParameter(
-            f"{unknown[0]}: unknown parameter{closest(unknown[0], PARAMETERS)}; known are {', '.join(PARAMETERS)}"
-        )
+        guess = closest(unknown[0], PARAMETERS)
+        raise HTTPException(400, f"{unknown[0]}: unknown parameter{guess}; known are {', '.join(PARAMETERS)}")
     if repeated := [name for name in parameters if len(parameters.getlist(name)) > 1]:
-        raise UnknownParameter(f"{repeated[0]}: stands twice; give it once")
+        raise HTTPException(400, f"{repeated[0]}: stands twice; give it once")
     answer, save = parameters.get("as", "png"), parse_parts(parameters.get("save", "rgb"))
     if answer not in ANSWERS:
         raise InputError(f"as: there is {', '.join(ANSWERS)}")

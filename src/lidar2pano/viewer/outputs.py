@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -52,38 +52,22 @@ class OutputFiles:
             yield outputs
 
 
-class Output(Protocol):
-    """A file about all panoramas of a run."""
-
-    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
-        """Take the next panorama, its scan, the scan's file or recording, and its name among all.
-
-        Raises InputError for a file that cannot be written.
-        """
-
-    def finish(self) -> Path | None:
-        """Write the file, complete or not at all, and return its path; None if no panorama was added."""
-
-    def close(self) -> None:
-        """Remove everything kept for the file."""
-
-
 class PageOutput:
     """The page to look around in."""
 
     def __init__(self, path: Path, title: str, weights: str) -> None:
         self.path, self.weights = path, weights
         self.writer = PageWriter(title)
-        self.close = self.writer.close
+        self.close = self.writer.close  # removes everything kept for the file
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
-        """See Output."""
+        """Take the next panorama, its scan, the scan's file or recording, and its name among all."""
         if not len(self.writer):
             self.writer.facts = facts_of(self.weights, scan)
         self.writer.add(page_frame(panorama, scan, name, camera_layer(source, panorama.view)))
 
     def finish(self) -> Path | None:
-        """See Output."""
+        """Write the file, complete or not at all, and return its path; None if no panorama was added."""
         return self.writer.write(self.path) if len(self.writer) else None
 
 
@@ -100,12 +84,12 @@ class _GrowingFile:
         raise NotImplementedError
 
     def finish(self) -> Path | None:
-        """See Output."""
+        """See PageOutput."""
         self.end()
         return write_whole(self.path, lambda whole: shutil.copyfile(self.part, whole)) if self.frames else None
 
     def close(self) -> None:
-        """See Output."""
+        """See PageOutput."""
         self.end()
         self._folder.cleanup()
 
@@ -122,7 +106,7 @@ class VideoOutput(_GrowingFile):
         self._stream: Any = None
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
-        """See Output."""
+        """See PageOutput."""
         rows, columns = panorama.colour.shape[:2]
         if self._stream is None:
             self._stream = self._container.add_stream("libx264", rate=round(RATE_HZ))
@@ -163,7 +147,7 @@ class RerunOutput(_GrowingFile):
         self._log.log("/", self._rerun.ViewCoordinates.FLU, static=True)
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
-        """See Output."""
+        """See PageOutput."""
         rr, log = self._rerun, self._log
         log.set_time("frame", sequence=self.frames)
         log.set_time("time", duration=self.frames / RATE_HZ)
@@ -180,6 +164,9 @@ class RerunOutput(_GrowingFile):
     def end(self) -> None:
         """Write the rest of the log."""
         self._log.disconnect()
+
+
+Output = PageOutput | VideoOutput | RerunOutput
 
 
 def camera_layer(scan_file: Path, view: View) -> np.ndarray | None:

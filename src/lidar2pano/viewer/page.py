@@ -169,16 +169,16 @@ class PageWriter:
         view = frame.view
         layers = {"colour": self._block(*colour_image(frame.colour, coding))}
         if frame.segments is not None:
-            layers["classes"] = self._block(*class_image(frame.segments, coding))
+            layers["classes"] = self._block(*code_image(frame.segments, coding.coarser))
             self._present[np.unique(frame.segments)] = True
         if frame.depth_m is not None:
-            layers["depth"] = self._block(*depth_image(frame.depth_m, coding))
+            layers["depth"] = self._block(*code_image(depth_codes(frame.depth_m), coding.depth_coarser))
         if frame.confidence is not None:
-            layers["confidence"] = self._block(*confidence_image(frame.confidence, coding))
+            layers["confidence"] = self._block(*code_image(confidence_codes(frame.confidence), coding.depth_coarser))
         if frame.camera is not None:
             layers["camera"] = self._block(*colour_image(frame.camera, coding))
         if frame.source is not None:
-            layers["source"] = self._block(*class_image(frame.source, coding))
+            layers["source"] = self._block(*code_image(frame.source, coding.coarser))
             named, count = len(frame.cameras), max(len(frame.cameras), int(frame.source.max()))
             numbers = range(len(self._cameras), count)
             self._cameras += tuple(frame.cameras[n] if n < named else f"camera {n + 1}" for n in numbers)
@@ -319,25 +319,21 @@ def colour_image(colour: np.ndarray, coding: Coding) -> tuple[bytes, str]:
     """Return (bytes, MIME type) of colours (h, w, 3 or 4) uint8; the fourth channel is opacity."""
     image = Image.fromarray(colour)
     if coding.coarser > 1:
-        image = image.resize(_coarser(colour, coding.coarser), Image.Resampling.BOX)
+        image = image.resize([max(side // coding.coarser, 1) for side in image.size], Image.Resampling.BOX)
     if coding.quality is None:
         return _coded(image, "PNG", compress_level=6), "image/png"
     return _coded(image, "WEBP", quality=coding.quality, method=4), "image/webp"
 
 
-def class_image(segments: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """Return (bytes, MIME type) of class ids (h, w) uint8, as grey values, exact."""
-    return _codes(segments, coding.coarser)
+def code_image(codes: np.ndarray, coarser: int) -> tuple[bytes, str]:
+    """Return (bytes, MIME type) of every so many-th of codes (h, w) uint8, as grey values, exact."""
+    part = np.ascontiguousarray(codes[coarser // 2 :: coarser, coarser // 2 :: coarser])
+    return _coded(Image.fromarray(part).convert("RGB"), "WEBP", lossless=True, quality=50, method=2), "image/webp"
 
 
-def depth_image(depth_m: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """Return (bytes, MIME type) of depths (h, w) in metres, as `depth_codes`."""
-    return _codes(depth_codes(depth_m), coding.depth_coarser)
-
-
-def confidence_image(confidence: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """Return (bytes, MIME type) of confidences (h, w) in [0, 1], in CONFIDENCE_STEPS."""
-    return _codes(np.round(confidence * CONFIDENCE_STEPS).astype(np.uint8), coding.depth_coarser)
+def confidence_codes(confidence: np.ndarray) -> np.ndarray:
+    """Return codes uint8 of confidences in [0, 1], in CONFIDENCE_STEPS."""
+    return np.round(confidence * CONFIDENCE_STEPS).astype(np.uint8)
 
 
 def depth_codes(depth_m: np.ndarray) -> np.ndarray:
@@ -382,15 +378,6 @@ def chosen_points(xyz: np.ndarray, coding: Coding) -> tuple[np.ndarray, int]:
     if len(usable) <= coding.points:
         return usable, len(usable)
     return usable[np.linspace(0, len(usable) - 1, coding.points).astype(np.int64)], len(usable)
-
-
-def _codes(codes: np.ndarray, coarser: int) -> tuple[bytes, str]:
-    part = np.ascontiguousarray(codes[coarser // 2 :: coarser, coarser // 2 :: coarser])
-    return _coded(Image.fromarray(part).convert("RGB"), "WEBP", lossless=True, quality=50, method=2), "image/webp"
-
-
-def _coarser(values: np.ndarray, factor: int) -> tuple[int, int]:
-    return max(values.shape[1] // factor, 1), max(values.shape[0] // factor, 1)
 
 
 def _coded(image: Image.Image, form: str, **settings: object) -> bytes:
