@@ -56,7 +56,7 @@ def rows(root: Path, split: str, weights: list[str]) -> Iterator[str]:
             split=split,
             config=config,
         )
-        values = [{(one.sector, one.name): one.value for one in found.values(each.metrics)} for each in found.systems]
+        values = [{(of, name): part.value for of, name, part in found.values(each.metrics)} for each in found.systems]
         for title, key in ROWS.items():
             yield f"| {64 // every} | {title} | " + " | ".join(f"{each[key]:.3f}" for each in values) + " |"
 

@@ -29,7 +29,6 @@ from lidar2pano.evaluate.metric_collection import (
     FeatureExtractor,
     ImageSegmenter,
     MetricCollection,
-    PreviousImage,
 )
 from lidar2pano.evaluate.panorama_system import SystemInfo
 from lidar2pano.evaluate.pictures import WorstFrames
@@ -141,14 +140,14 @@ def test_answers_of_absent_classes_do_not_change_what_is_averaged():
 
 def test_frames_with_camera_or_point_labels_only():
     points_only = scored([frame_of(calibration=None, camera_labels=None)], one := fixed([[ROAD] * 6] * 2, [9, 1, 9, 9]))
-    assert (points_only.images, points_only.scans) == (0, 1)
+    assert points_only.counts == {"images": 0, "scans": 1, "camera_images": 0, "panoramas": 0, "following": 0}
     assert value_of(points_only, "points", "accuracy") == 1 and one.inputs[0].calibration is None
     assert "mIoU of 2 SemanticKITTI" in report.table(report.as_dict(points_only)) and "| road" not in report.table(
         report.as_dict(points_only)
     )
     json.dumps(report.as_dict(points_only), allow_nan=False)
     camera_only = scored([frame_of(point_labels=None)], fixed([[ROAD] * 6] * 2))
-    assert (camera_only.images, camera_only.scans) == (1, 0)
+    assert (camera_only.counts["images"], camera_only.counts["scans"]) == (1, 0)
     assert "SemanticKITTI" not in report.table(report.as_dict(camera_only))
     with pytest.raises(InputError, match="00/000000 has neither camera_labels/ nor labels/"):
         scored([frame_of(calibration=None, camera_labels=None, point_labels=None)], fixed())
@@ -290,7 +289,7 @@ def test_metrics_by_other_networks(tmp_path):
 
     segmenter = CameraSegmenter(network=Road(), normalise=ImageNormalisation(mean=(0.5,) * 3, deviation=(0.5,) * 3))
     extractors = [FeatureExtractor(features=features, sha256=name * 32) for name in ("ab", "cd")]
-    image_segmenter = ImageSegmenter(segmenter=segmenter, features=extractors[0])
+    image_segmenter = ImageSegmenter(segmenter=segmenter, features=extractors[0], sha256="ab" * 32)
     config = MetricConfig(inception=extractors[1], image_segmenter=image_segmenter)
     ids = np.full((24, 80), ROAD, np.uint8)
     ids[:, 40:] = CAR
@@ -496,8 +495,8 @@ def test_flicker_counts_where_the_flow_is_known():
     before, now = noise(0), noise(0)
     now[:, 40:] = noise(1)[:, 40:]
     for sector in ("camera", "panorama"):
-        previous = PreviousImage(image=before, flow=Flow(shift=torch.zeros(2, 24, 80), known=known))
-        (metrics := MetricCollection(MetricConfig())).warping(sector, now, previous, "00/000001")
+        flow = Flow(shift=torch.zeros(2, 24, 80), known=known)
+        (metrics := MetricCollection(MetricConfig())).warping(sector, now, before, flow, "00/000001")
         metric = metrics.metrics[sector, "warping"]
         assert metric.compute() == pytest.approx(0, abs=1e-12) and metric.circular == (sector == "panorama")
 

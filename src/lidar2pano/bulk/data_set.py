@@ -93,7 +93,7 @@ def grow(seeds: Tensor, inside: Tensor, steps: int) -> Tensor:
 
 
 def untimed(job: Job, listed: list[Entry], shard: Shard) -> list[tuple[str, str]]:
-    """List recordings, and names of their sequences, whose files this shard has to write: that with their last scans.
+    """List recordings, and names of their sequences, whose files this shard has to write, as it has their last scans.
 
     listed  the shard's scans.
     """

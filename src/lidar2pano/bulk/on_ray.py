@@ -97,9 +97,9 @@ def translate_on_ray(
 def translate_in_pool(
     pool: list[Any], make: Callable[[], Any], size: int, todo: Iterable[Entry], stopped: Callable[[], bool]
 ) -> Iterator[Answer]:
-    """Yield scans and their lines as they come; None of a scan that has cost ATTEMPTS workers.
+    """Yield scans and their lines as they come; None of a scan with ATTEMPTS dead workers.
 
-    pool  gets `size` workers that `make` starts, and another for each that dies.
+    pool  gets `size` workers, started by `make`, and another for each dead one.
     The scans of a dead worker are tried again when all others are done, each alone in a worker.
     """
     pool += [make() for _ in range(size)]

@@ -94,7 +94,6 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
-    from lidar2pano.cli.options import write_json
     from lidar2pano.evaluate import MetricConfig, system
     from lidar2pano.evaluate.folds import Fold, parse_folds
     from lidar2pano.hardware import keep_buffers
@@ -107,25 +106,19 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     keep_buffers()
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     build = partial(system, device=device, sensor=sensor, engine=engine, elevation=elevation)
-    names = list(dict.fromkeys(weights))
     if folds:
         refuse_beside("--folds", {"--data": data, "--worst": worst, "--pairs": pairs, "--leave-out": leave_out})
-        scores = score_folds(names, parse_folds(folds), build, config)
+        scores = score_folds(weights, parse_folds(folds), build, config)
     elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     elif leave_out:
         unused = {"--metrics": metrics, "--csv": as_csv, "--worst": worst, "--pairs": pairs}
         refuse_beside("--leave-out", unused | {"--sdnet": sdnet, "--inception": inception, "--sensor": sensor})
-        load = partial(load_reaching, device=device, engine=engine, elevation=elevation)
-        scores = leave_out_cameras(weights, Fold(split, data, split), leave_out, out, config.patches, load)
+        pipeline = load_reaching(weights, device, engine, elevation)
+        scores = leave_out_cameras(pipeline, Fold(split, data, split), leave_out, out, config.patches)
     else:
-        scores = score_split(names, Fold(split, data, split), build, config, worst, out, pairs)
-    if as_json:
-        write_json(as_json, scores.summary, "--json")
-    if as_csv:
-        write_csv(as_csv, scores.rows, "--csv")
-    note_licences(scores.scored)
-    print(scores.table)
+        scores = score_split(dict.fromkeys(weights), Fold(split, data, split), build, config, worst, out, pairs)
+    scores.report(as_json, as_csv)
 
 
 class Scores(NamedTuple):
@@ -136,9 +129,20 @@ class Scores(NamedTuple):
     table: str
     scored: list[SystemInfo]
 
+    def report(self, as_json: Path | None, as_csv: Path | None) -> None:
+        """Write the requested files, and print licences and the table."""
+        from lidar2pano.cli.options import write_json
+
+        if as_json:
+            write_json(as_json, self.summary, "--json")
+        if as_csv:
+            write_csv(as_csv, self.rows, "--csv")
+        note_licences(self.scored)
+        print(self.table)
+
 
 def score_split(
-    names: Sequence[str],
+    names: Iterable[str],
     place: Fold,
     build: Callable[[str], System],
     config: MetricConfig,
@@ -151,7 +155,7 @@ def score_split(
     from lidar2pano.evaluate.pictures import Preferences
 
     systems = [build(name) for name in names]
-    preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
+    preferences = Preferences(pairs, [system.info.name for system in systems]) if pairs else None
     evaluation = score_place(systems, place, config, worst, preferences)
     summary = report.as_dict(evaluation)
     if out:
@@ -170,9 +174,9 @@ def score_folds(
     folded: dict[str, dict[str, dict[str, float]]] = {name: {} for name in names}
     parts: list[Scores] = []
     for fold in folds:
-        weights = [name.replace(PLACEHOLDER, fold.name) for name in names]
+        weights = [name.replace(PLACEHOLDER, fold.name) for name in folded]
         parts.append(score_split(weights, fold, build, config, 0, None, None))
-        for name, result in zip(names, parts[-1].summary["results"], strict=True):
+        for name, result in zip(folded, parts[-1].summary["results"], strict=True):
             folded[name][fold.name] = scores_of(result)
     comparison = compared(folded)
     rows = [{"fold": fold.name, **row} for fold, part in zip(folds, parts, strict=True) for row in part.rows]
@@ -198,30 +202,25 @@ def score_place(
         return score(systems, scored, data=data, split=place.split, config=config, worst=worst, after_each=note)
 
 
-def load_reaching(weights: str, device: str, engine: str, elevation: str) -> Pipeline:
-    """Load a family's pipeline, of taller panoramas where an elevation is named."""
+def load_reaching(weights: Sequence[str], device: str, engine: str, elevation: str) -> Pipeline:
+    """Load the only family's pipeline, of taller panoramas where an elevation is named."""
     from lidar2pano.pipeline import load
 
-    pipeline = load(weights, device, engine)
+    if len(weights) != 1:
+        raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
+    pipeline = load(weights[0], device, engine)
     return pipeline.reaching(elevation) if elevation else pipeline
 
 
 def leave_out_cameras(
-    weights: Sequence[str],
-    place: Fold,
-    leave_out: str,
-    out: Path | None,
-    patches: Mapping[str, PatchFeatures],
-    load: Callable[[str], Pipeline],
+    pipeline: Pipeline, place: Fold, leave_out: str, out: Path | None, patches: Mapping[str, PatchFeatures]
 ) -> Scores:
     """Score the views of hidden cameras, and write a sheet of each into `out`."""
     from lidar2pano.cli.console import bar
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate.hidden_cameras import score_hidden, table
 
-    if len(weights) != 1:
-        raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
-    scored, pipeline = frames(place.root, place.split), load(weights[0])
+    scored = frames(place.root, place.split)
     with bar(len(scored), f"hiding {leave_out}") as advance:
         summary = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance).as_dict()
     return Scores(summary, [], table(summary), [])
@@ -252,9 +251,10 @@ def write_worst(evaluation: Evaluation, out: Path) -> None:
     rows: list[dict[str, object]] = []
     for number, system in enumerate(evaluation.systems, 1):
         for rank, frame in enumerate(system.worst.held, 1):
-            image = f"{number}/{rank:03d}-{frame.name.replace('/', '-')}.png" if frame.sheet is not None else ""
-            if image:
-                write_whole(out / image, lambda file, sheet=frame.sheet: write_png(file, sheet))
+            image, sheet = "", frame.sheet
+            if sheet is not None:
+                image = f"{number}/{rank:03d}-{frame.name.replace('/', '-')}.png"
+                write_whole(out / image, lambda file, sheet=sheet: write_png(file, sheet))
             ranked = {"rank": rank, "frame": frame.name, "metric": frame.metric, "value": frame.value}
             rows.append({"system": system.system.info.name, **ranked, "image": image})
     write_csv(out / "worst.csv", rows, "--out")
@@ -275,7 +275,7 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
 
 
 def note_licences(scored: Iterable[SystemInfo]) -> None:
-    """Print a line on stderr for each licence that restricts the use of these systems' weights."""
+    """Print a line on stderr for each restrictive licence of these systems' weights."""
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import licence_note
 

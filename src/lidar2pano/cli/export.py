@@ -65,7 +65,7 @@ def networks_of(pipeline: Pipeline) -> dict[str, tuple[str, str, nn.Module]]:
 
 
 def record_inputs(pipeline: Pipeline) -> dict[str, tuple[Tensor, ...]]:
-    """Return the networks' input tensors, by graph, while the scan that ships with the package is translated."""
+    """Return the networks' input tensors, by graph, while the scan of the package is translated."""
     from lidar2pano.demo import street
 
     inputs: dict[str, tuple[Tensor, ...]] = {}

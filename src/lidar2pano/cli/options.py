@@ -251,8 +251,8 @@ def collect_pictures(image_format: str, projection: str) -> dict[str, str]:
     from lidar2pano.geometry.camera import PROJECTIONS
 
     if image_format not in COLOUR_FORMATS:
-        known = closest(image_format, COLOUR_FORMATS)
-        raise InputError(f"--format {image_format!r}: no format for colour images{known}")
+        guess = closest(image_format, COLOUR_FORMATS)
+        raise InputError(f"--format {image_format!r}: no format for colour images{guess}")
     if projection not in PROJECTIONS:
         raise InputError(f"--projection {projection!r}: is no projection{closest(projection, PROJECTIONS)}")
     return {"image_format": image_format, "projection": projection}

@@ -63,6 +63,7 @@ class ImageSegmenter:
 
     segmenter: CameraSegmenter
     features: FeatureExtractor
+    sha256: str
 
     def segment(self, image: np.ndarray) -> Tensor:
         """Return ids (h, w) uint8 of COMMON15 of an image (h, w, 3) uint8."""
@@ -173,7 +174,7 @@ def _image_segmenter(file: Path, device: torch.device) -> ImageSegmenter:
     network, card = load(file, device, expect="sdnet")
     segmenter = CameraSegmenter.from_card(network, card)
     features = FeatureExtractor(features=lambda images: _context(segmenter, images), sha256=card.sha256)
-    return ImageSegmenter(segmenter=segmenter, features=features)
+    return ImageSegmenter(segmenter=segmenter, features=features, sha256=card.sha256)
 
 
 def _context(segmenter: CameraSegmenter, images: Tensor) -> Tensor:

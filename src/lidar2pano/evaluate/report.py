@@ -76,7 +76,7 @@ def as_dict(evaluation: Evaluation) -> dict[str, Any]:
         "metrics": list(config.groups),
         "sectors": list(config.sectors),
         "inception": config.inception.sha256 if config.inception else None,
-        "camera_segmenter": config.image_segmenter.features.sha256 if config.image_segmenter else None,
+        "camera_segmenter": config.image_segmenter.sha256 if config.image_segmenter else None,
         "classes": [COMMON15.classes[c] for c in evaluation.target_classes()],
         "panorama_classes": [COMMON15.classes[c] for c in evaluation.target_classes("panorama")],
         "heading": _heading(evaluation, [entry for result in results for entry in result["values"]]),
@@ -108,7 +108,7 @@ def _result(evaluation: Evaluation, system: EvaluatedSystem) -> dict[str, Any]:
         "score": {role: score | {"split": evaluation.split} for role, score in scores.items() if role in scored_roles},
         "milliseconds": {stage: round(value, 2) for stage, value in system.mean_milliseconds().items()},
         "values": entries,
-        "worst": [{"frame": one.name, "metric": one.metric, "value": one.value} for one in system.worst.held],
+        "worst": [{"frame": frame.name, "metric": frame.metric, "value": frame.value} for frame in system.worst.held],
         **{key: [] if count is None else count.table() for key, count in counts.items()},
     }
 

@@ -223,7 +223,7 @@ def system(
              ones take the places of earlier ones. By the cards: titan-pano (`PanoramaSystem`); titan, titan-next or
              pix2pix for classes (`CameraTranslator`); scunet, or titan or pix2pix for colours (`CameraRenderer`).
              "oracle": `Oracle`, with a painter. Behind a `CameraTranslator` or "oracle" only vid2vid paints.
-             Segmenters that are not named, and titan-pano's painter, are the default family's.
+             Segmenters without a name, and titan-pano's painter, are the default family's.
              "+steady" behind a titan-pano: temporal smoothing by the sensor's poses.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
     engine   what computes the networks of a pipeline, as for pipeline.load; others run in torch.

@@ -173,7 +173,7 @@ class SetMetric(ABC):
 
 
 class _Folder(TemporaryDirectory[str]):
-    """A temporary folder that is deleted with the last metric that shares it."""
+    """A temporary folder, deleted with the last of the metrics with this folder."""
 
     def __del__(self) -> None:
         """Delete the files."""

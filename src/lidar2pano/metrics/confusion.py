@@ -19,7 +19,7 @@ class MeanIoU(FrameMetric):
     Target ids outside [0, K) are not scored, nor are those of `unscored`; a prediction of `unscored` counts as wrong.
     A class of neither side is undefined and not in the mean, which is over the classes `over`.
 
-    The paper's mIoU over common-14 is that of `MeanIoU(COMMON14, unscored=(0,))`: class 0 of the target is not scored,
+    `MeanIoU(COMMON14, unscored=(0,))` has the paper's mIoU over common-14: class 0 of the target is not scored,
     predictions of 0 are counted as misses.
     """
 

@@ -62,8 +62,9 @@ def normal_of(features: np.ndarray) -> Normal:
     """Return the normal distribution of features (N, D): their mean and sample covariance (N - 1), in float64."""
     samples = features.astype(np.float64)
     mean = samples.mean(0)
-    factor = (samples - mean) / np.sqrt(len(samples) - 1)
-    return Normal(mean, np.linalg.qr(factor, mode="r") if len(samples) > len(mean) else factor)  # the same X^T X
+    factor = torch.from_numpy((samples - mean) / np.sqrt(len(samples) - 1))
+    short = torch.linalg.qr(factor, mode="r").R if len(factor) > len(mean) else factor  # the same X^T X
+    return Normal(mean, short.numpy())
 
 
 def frechet_distance(first: Normal, second: Normal) -> float:

@@ -224,7 +224,7 @@ class Service:
         return Response(kept.files[part], media_type=TYPES[part], headers=HEADERS | disposition)
 
     async def example(self, request: Request) -> Response:
-        """GET /example: the scan that ships with the package, a KITTI .bin."""
+        """GET /example: the scan of the package, a KITTI .bin."""
         disposition = {"Content-Disposition": 'attachment; filename="example.bin"'}
         return Response(_example(), media_type="application/octet-stream", headers=HEADERS | disposition)
 
