@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from lidar2pano.bounded_files import open_regular
-from lidar2pano.errors import InputError
 from lidar2pano.formats import delimited_text, e57, las, pcd, ply
 from lidar2pano.formats.field_names import find_named
 from lidar2pano.formats.file_contents import is_packed
@@ -117,13 +115,11 @@ def _blocks(file: BinaryIO, form: str, path: Path) -> Iterator[Columns] | None:
 
 def _lines(file: BinaryIO, layout: RowLayout, path: Path) -> Iterator[Columns]:
     """Yield the fields of lines of text."""
-    counts = [math.prod(layout.dtype[name].shape) for name in layout.dtype.names or ()]
-    starts, count = np.cumsum([0, *counts]), 0
-    for table, _ in delimited_text.tables(file, path, int(starts[-1])):
+    starts, count = layout.starts, 0
+    for table, _ in delimited_text.tables(file, path, starts[-1]):
         count += len(table)
         yield {name: table[:, starts[place]] for name, place in layout.columns.items()}
-    if layout.count not in (0, count):
-        raise InputError(f"{path}: its header says {layout.count} points, but it holds {count}; fetch it again")
+    layout.check_lines(count, path)
 
 
 def _rows(file: BinaryIO, layout: RowLayout, length: int, path: Path) -> Iterator[Columns]:

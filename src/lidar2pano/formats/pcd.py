@@ -29,17 +29,14 @@ ENTRY = re.compile(rb"(?m)^(?:VERSION|FIELDS|COLUMNS|SIZE|TYPE|WIDTH|POINTS|DATA
 class Header:
     """The header.
 
-    fields  (name, NumPy type, values a point, offset in a point) of each field;  step: bytes of a point.
-    points  their number, 0 if the header does not say;  claims: two numbers, if it contradicts itself.
-    layout  "ascii", "binary" or "binary_compressed";  start: offset of the points.
+    rows    how the points follow each other; packed ones have column behind column instead.
+    layout  "ascii", "binary" or "binary_compressed".
+    claims  two numbers of points, if it contradicts itself.
     viewpoint  (4, 4) float64 T of the sensor, None if there is none, or the identity.
     """
 
-    fields: tuple[tuple[str, np.dtype, int, int], ...]
-    step: int
-    points: int
+    rows: RowLayout
     layout: str
-    start: int
     viewpoint: np.ndarray | None = None
     claims: tuple[int, ...] = ()
 
@@ -47,14 +44,14 @@ class Header:
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if header and content do not fit each other."""
     header, doubts = read_header(data, path), list[str]()
-    if (most := max((header.points, *header.claims))) > MOST_POINTS:
+    if (most := max((header.rows.count, *header.claims))) > MOST_POINTS:
         raise sweep_error(path, most)
     if header.layout == "ascii":
-        columns, doubts = _ascii(data, header, path)
+        columns, doubts = _ascii(data, header.rows, path)
     elif header.layout == "binary":
-        columns = _binary(data, _layout_of(header), path)
+        columns = _binary(data, header.rows, path)
     else:
-        columns = _compressed(data, header, path)
+        columns = _compressed(data, header.rows, path)
     if header.claims:
         count = len(next(iter(columns.values()), ()))
         if count not in header.claims:
@@ -75,18 +72,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
 def row_layout(head: bytes, path: Path) -> RowLayout | None:
     """Return how the points follow each other, by a file's beginning; None if they are packed or unsure."""
     header = read_header(head, path)
-    return None if header.layout == "binary_compressed" or header.claims else _layout_of(header)
-
-
-def _layout_of(header: Header) -> RowLayout:
-    form: Any = {
-        "names": [f"{place}" for place in range(len(header.fields))],
-        "formats": [(dtype, (count,)) if count != 1 else dtype for _, dtype, count, _ in header.fields],
-        "offsets": [offset for *_, offset in header.fields],
-        "itemsize": header.step,
-    }
-    columns = {name: place for place, (name, _, count, _) in enumerate(header.fields) if count == 1 and name != "_"}
-    return RowLayout(header.start, np.dtype(form), columns, header.points, header.layout == "ascii")
+    return None if header.layout == "binary_compressed" or header.claims else header.rows
 
 
 def read_header(data: bytes, path: Path) -> Header:
@@ -114,13 +100,15 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     sizes = [int(size) for size in _one_each(entries, "SIZE", "4", len(names), path)]
     types = [letter.upper() for letter in _one_each(entries, "TYPE", "F", len(names), path)]
     counts = [int(count) for count in _one_each(entries, "COUNT", "1", len(names), path)]
-    fields, step = [], 0
-    for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
+    form: list[Any] = []
+    for place, (size, letter, count) in enumerate(zip(sizes, types, counts, strict=True)):
         if size not in BYTES[letter] or not 0 <= count <= MOST_HEADER:
-            raise ValueError(name)
-        taken = any(name == other for other, *_ in fields)  # of two with one name the first is read
-        fields.append(("_" if taken else name, np.dtype(f"<{letter.lower()}{size}"), count, step))
-        step += size * count
+            raise ValueError(letter)
+        form.append((f"{place}", f"<{letter.lower()}{size}", *([(count,)] if count != 1 else [])))
+    columns = {}
+    for place, (name, count) in enumerate(zip(names, counts, strict=True)):
+        if count == 1 and name != "_" and names.index(name) == place:  # of two with one name the first is read
+            columns[name] = place
     width, height = (int(entries.get(name, ["0"])[0]) for name in ("WIDTH", "HEIGHT"))
     points = int(entries["POINTS"][0]) if "POINTS" in entries else width * height
     claims = (points, width * height) if width * height and points and width * height != points else ()
@@ -128,17 +116,10 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     layout = entries["DATA"][0].lower()
     if layout not in {"ascii", "binary", "binary_compressed"}:
         raise InputError(f"{path}: PCD data of form {layout!r} are not read; write it as binary")
-    if min((points, *claims)) < 0 or step < 1:
+    rows = RowLayout(start, np.dtype(form), columns, points, layout == "ascii")
+    if min((points, *claims)) < 0 or rows.dtype.itemsize < 1:
         raise sweep_error(path, max((points, *claims)))
-    return Header(
-        fields=tuple(fields),
-        step=step,
-        points=points,
-        layout=layout,
-        start=start,
-        viewpoint=_viewpoint(entries.get("VIEWPOINT", [])),
-        claims=claims,
-    )
+    return Header(rows=rows, layout=layout, viewpoint=_viewpoint(entries.get("VIEWPOINT", [])), claims=claims)
 
 
 def _one_each(entries: dict[str, list[str]], line: str, usual: str, fields: int, path: Path) -> list[str]:
@@ -172,21 +153,16 @@ def _viewpoint(words: list[str]) -> np.ndarray | None:
     return T if np.isfinite(T).all() and not np.allclose(T, np.eye(4)) else None
 
 
-def _ascii(data: bytes, header: Header, path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
+def _ascii(data: bytes, layout: RowLayout, path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return the fields, and a doubt about values behind them."""
-    text = data[header.start :]
+    text = data[layout.start :]
     if (end := text.find(EXTENSION_END, 0, MOST_HEADER)) >= 0:
         text = text[end + len(EXTENSION_END) :].lstrip()
-    width = sum(count for _, _, count, _ in header.fields)
+    *starts, width = layout.starts
     values = len(text[:MOST_HEADER].lstrip().split(b"\n", 1)[0].split())
     table, _ = numbers(text, path, max(width, values))
-    if header.points and len(table) != header.points:
-        raise InputError(f"{path}: its header says {header.points} points, but it holds {len(table)}; fetch it again")
-    columns, place = {}, 0
-    for name, dtype, count, _ in header.fields:
-        if count == 1 and name != "_":
-            columns[name] = _of_type(table[:, place], dtype)
-        place += count
+    layout.check_lines(len(table), path)
+    columns = {name: _of_type(table[:, starts[at]], layout.dtype[at]) for name, at in layout.columns.items()}
     doubt = f"its lines have {values} values for {width} of its header; those behind them are left out"
     return columns, [doubt] if values > width else []
 
@@ -209,29 +185,28 @@ def _binary(data: bytes, layout: RowLayout, path: Path) -> dict[str, np.ndarray]
     return layout.fields(memoryview(data)[layout.start : end])
 
 
-def _compressed(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
-    _check_length(len(data) - header.start, 8, header, path)
-    packed, unpacked = (int(size) for size in np.frombuffer(data, "<u4", 2, header.start))
-    body = data[header.start + 8 : header.start + 8 + packed]
-    _check_length(len(body), packed, header, path)
-    points = header.points or unpacked // header.step
-    if unpacked != points * header.step or unpacked > min(MOST_BYTES, MOST_RATIO * packed):
+def _compressed(data: bytes, layout: RowLayout, path: Path) -> dict[str, np.ndarray]:
+    start, step = layout.start, layout.dtype.itemsize
+    _check_length(len(data) - start, 8, layout, path)
+    packed, unpacked = (int(size) for size in np.frombuffer(data, "<u4", 2, start))
+    body = data[start + 8 : start + 8 + packed]
+    _check_length(len(body), packed, layout, path)
+    points = layout.count or unpacked // step
+    if unpacked != points * step or unpacked > min(MOST_BYTES, MOST_RATIO * packed):
         raise InputError(
-            f"{path}: {points} points of {header.step} bytes do not unpack from {packed} bytes to {unpacked};"
+            f"{path}: {points} points of {step} bytes do not unpack from {packed} bytes to {unpacked};"
             " the file is damaged"
         )
     flat = _unpacked(body, unpacked, path)
-    return {
-        name: np.frombuffer(flat, dtype, points, offset * points)
-        for name, dtype, count, offset in header.fields
-        if count == 1 and name != "_"
-    }
+    fields: Any = layout.dtype.fields
+    places = {name: fields[f"{place}"] for name, place in layout.columns.items()}
+    return {name: np.frombuffer(flat, dtype, points, offset * points) for name, (dtype, offset, *_) in places.items()}
 
 
-def _check_length(size: int, needed: int, header: Header, path: Path) -> None:
+def _check_length(size: int, needed: int, layout: RowLayout, path: Path) -> None:
     if size < needed:
         raise InputError(
-            f"{path}: its header says {header.points} points, which need {needed} bytes, but {size} follow;"
+            f"{path}: its header says {layout.count} points, which need {needed} bytes, but {size} follow;"
             " the file is truncated"
         )
 

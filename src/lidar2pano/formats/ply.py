@@ -193,9 +193,8 @@ def _ascii(text: bytes, elements: list[Element], place: int, path: Path) -> dict
     if vertices.has_lists:
         text = b"\n".join(_without_lists(line, vertices, path) for line in text.splitlines())
     layout = vertices.layout(0, text=True)
-    table, _ = numbers(text, path, len(layout.dtype.names or ()))
-    if len(table) != vertices.count:
-        raise InputError(f"{path}: its header says {vertices.count} points, but it holds {len(table)}; fetch it again")
+    table, _ = numbers(text, path, layout.starts[-1])
+    layout.check_lines(len(table), path)
     return {name: table[:, place].astype(layout.dtype[place]) for name, place in layout.columns.items()}
 
 

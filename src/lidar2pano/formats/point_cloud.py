@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
@@ -116,6 +118,17 @@ class RowLayout(NamedTuple):
     columns: dict[str, int]
     count: int
     text: bool
+
+    @property
+    def starts(self) -> list[int]:
+        """Place of each field's first value in a line of text, and the number of values."""
+        sizes = [math.prod(self.dtype[name].shape) for name in self.dtype.names or ()]
+        return list(accumulate(sizes, initial=0))
+
+    def check_lines(self, lines: int, path: Path) -> None:
+        """Raise InputError for another number of lines than the header says."""
+        if self.count not in (0, lines):
+            raise InputError(f"{path}: its header says {self.count} points, but it holds {lines}; fetch it again")
 
     def binary_count(self, length: int, path: Path) -> int:
         """Return the number of rows in a file of `length` bytes; InputError if it is truncated."""
