@@ -249,7 +249,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no camera matrix": (
         lambda r: edited(r, "calibrated_sensor", lambda rows: rows[-1].update(camera_intrinsic=[[1, 2], [3]])),
-        r"calibrated_sensor.json: row '.*' holds no camera matrix",
+        r"calibrated_sensor.json: row '.*': camera_intrinsic: holds no numbers",
     ),
     "a camera missing": (
         lambda r: edited(r, "sample_data", lambda rows: rows.pop()),

@@ -27,7 +27,7 @@ from lidar2pano.calibration import read_calib
 from lidar2pano.cli import options
 from lidar2pano.cli.inspect import described
 from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
-from lidar2pano.data.camera_files import read_camera_calibration
+from lidar2pano.data.camera_files import camera_matrix, read_camera_calibration
 from lidar2pano.data.journal import Journal, Record, Stamp
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.drives.folders import times
@@ -199,7 +199,7 @@ def read_pandaset(root: Path, _: Path) -> None:
     assert frame.pose.shape == frame.T_sensor_file.shape == (4, 4)
     for camera in content["cameras"].values():
         if isinstance(camera, dict):
-            pandaset._camera_matrix(path, camera)
+            camera_matrix(path, camera)
 
 
 def read_nuscenes(path: Path) -> None:

@@ -20,7 +20,7 @@ from lidar2pano.formats.yaml_files import read_document
 # LiDAR -> camera, and camera -> LiDAR
 POSES = ("T_camera_lidar", "T_cam_lidar", "lidar2cam", "cam_from_lidar")
 INVERSE_POSES = ("T_lidar_camera", "T_lidar_cam", "cam2lidar", "CameraExtrinsicMat")
-MATRICES = ("camera_matrix", "CameraMat", "cam2img", "K", "intrinsics")
+MATRICES = ("camera_matrix", "CameraMat", "cam2img", "K", "intrinsics", "camera_intrinsic")
 COEFFICIENTS = ("distortion_coefficients", "distortion_coeffs", "DistCoeff", "D")
 SIZES = (("image_width", "image_height"), ("width", "height"))
 SIZE_PAIRS = ("resolution", "ImageSize", "size")
@@ -58,14 +58,18 @@ def read_camera_calibration(
 
 
 def calibration_of(
-    path: Path, entry: Entry, image: Path, size: tuple[int, int], T_camera_lidar: np.ndarray
+    path: Path, entry: Entry, image: Path, size: tuple[int, int] | None, T_camera_lidar: np.ndarray
 ) -> Calibration | LensCalibration:
     """Return the camera of a calibration's entry for an image of `size` (width, height); path, image: for messages.
+
+    size  None: as the entry says.
 
     Raises InputError for another size, no camera matrix, and an unknown distortion.
     """
     their_size = _size(path, entry)
-    K, first = _camera_matrix(path, entry)
+    if (size := size or their_size) is None:
+        raise InputError(f"{path}: says no size of its image; replace the calibration")
+    K, first = camera_matrix(path, entry)
     if their_size != size:
         K, their_size = _of_part(path, entry, K, their_size)
     if their_size and their_size != size:
@@ -127,15 +131,15 @@ def _named(path: Path, cameras: Entry, folder: str) -> Entry:
     raise InputError(f"{path}: {holds}; name a calibration of this camera")
 
 
-def _numbers(path: Path, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
+def _numbers(path: object, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
     """Return numbers in a row: of a list, of lists in a list, or of the `data` of a matrix."""
     value = value.get("data") if isinstance(value, dict) else value
     try:
         numbers = np.array(value, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: {name}: holds no numbers; name another calibration") from error
+        raise InputError(f"{path}: {name}: holds no numbers; replace the calibration") from error
     if not np.isfinite(numbers).all() or numbers.size > 64:
-        raise InputError(f"{path}: {name}: holds no finite numbers; name another calibration")
+        raise InputError(f"{path}: {name}: holds no finite numbers; replace the calibration")
     return numbers
 
 
@@ -154,8 +158,8 @@ def _size(path: Path, entry: Entry) -> tuple[int, int] | None:
     return round(width), round(height)
 
 
-def _camera_matrix(path: Path, entry: Entry) -> tuple[np.ndarray, list[float]]:
-    """Return K (3, 3), and Kalibr's xi where it comes before it."""
+def camera_matrix(path: object, entry: Entry) -> tuple[np.ndarray, list[float]]:
+    """Return K (3, 3) float64, and Kalibr's xi where it comes before it; InputError, with `path`, if there is none."""
     name = _first(entry, MATRICES)
     value = entry.get(name)
     if isinstance(value, dict) and "fx" in value:  # PandaSet
@@ -168,7 +172,7 @@ def _camera_matrix(path: Path, entry: Entry) -> tuple[np.ndarray, list[float]]:
     K = np.array(numbers).reshape(3, 3) if len(numbers) == 9 else np.zeros((3, 3))
     if not is_camera_matrix(K):
         raise InputError(
-            f"{path}: {name or 'a camera'}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); name another calibration"
+            f"{path}: {name or 'a camera'}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); replace the calibration"
         )
     return K / K[2, 2], first
 
@@ -201,13 +205,19 @@ def _pose(path: Path, entry: Entry) -> np.ndarray | None:
     name = _first(entry, (*POSES, *INVERSE_POSES))
     if not name:
         return None
-    numbers = _numbers(path, name, entry[name])
+    T = read_motion(path, entry, name)
+    return np.linalg.inv(T) if name in INVERSE_POSES else T
+
+
+def read_motion(path: Path, entry: Any, name: str) -> np.ndarray:  # noqa: ANN401 of a JSON file
+    """Return the motion (4, 4) float64 under a name, of 12 or 16 numbers; InputError if it is missing or none."""
+    numbers = _numbers(path, name, entry.get(name) if isinstance(entry, dict) else None)
     if numbers.size not in (12, 16):
         raise InputError(f"{path}: {name}: must hold 16 numbers (4x4), it has {numbers.size}")
     T = np.vstack([numbers[:12].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
     if not is_rotation(T[:3, :3]):
-        raise InputError(f"{path}: {name}: holds no rotation; name another calibration")
-    return np.linalg.inv(T) if name in INVERSE_POSES else T
+        raise InputError(f"{path}: {name}: holds no rotation; replace the calibration")
+    return T
 
 
 def _camera(

@@ -20,6 +20,7 @@ import numpy as np
 from lidar2pano.bounded_files import MOST_CALIBRATION_BYTES, read_input
 from lidar2pano.calibration import Calibration, LensCalibration, read_calib, read_rigid
 from lidar2pano.data.cache import cached_by_files
+from lidar2pano.data.camera_files import calibration_of
 from lidar2pano.data.frames import (
     IGNORE,
     FrameList,
@@ -31,7 +32,7 @@ from lidar2pano.data.frames import (
 )
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.poses import read_poses
-from lidar2pano.data.surround import SurroundFrame, matrix
+from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.formats.scan_files import read_bin
@@ -46,7 +47,7 @@ SCANS = "data_3d_raw"
 CAMERA = "image_00"
 FISHEYES = ("image_02", "image_03")  # to the left and to the right
 REACH_DEG = 185 / 2  # of the fisheyes' axes: "roughly 185 degrees", says issue 39 of autonomousvision/kitti360Scripts
-LENS = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0", "image_width", "image_height")
+LENS = ("xi", "gamma1", "gamma2", "u0", "v0", "k1", "k2", "p1", "p2", "image_width", "image_height")
 LARGEST_COEFFICIENT = 100.0  # of a lens; the data set's are below 5
 LISTS = "data_2d_semantics/train/2013_05_28_drive_{}_frames.txt"  # the data set's own lists of labelled images
 FILES = ("perspective.txt", "calib_cam_to_velo.txt", "calib_cam_to_pose.txt")
@@ -278,27 +279,13 @@ def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
     try:
         values = [float(settings[name]) for name in LENS]
     except (KeyError, TypeError, ValueError, OverflowError):
-        values = [np.nan]
-    if not np.isfinite(values).all():
-        raise InputError(f"{path}: {', '.join(LENS)} must be finite numbers; take the file from the data set")
-    distortion, (fx, fy, cx, cy), size = tuple(values[:5]), values[5:9], values[9:]
-    if distortion[0] < 0 or max(map(abs, distortion)) > LARGEST_COEFFICIENT:
+        raise InputError(f"{path}: {', '.join(LENS)} must be numbers; take the file from the data set") from None
+    camera = {"K": values[:5], "D": values[5:9], "width": values[9], "height": values[10]}
+    lens = calibration_of(path, camera, path, None, T_camera_lidar)
+    assert isinstance(lens, LensCalibration), "five numbers of K begin with xi"
+    if max(map(abs, lens.distortion)) > LARGEST_COEFFICIENT:
         raise InputError(f"{path}: xi, k1, k2, p1 and p2 are no lens's; take the file from the data set")
-    width, height = map(int, size)
-    if min(size) < 1 or [width, height] != size:
-        raise InputError(
-            f"{path}: image_width and image_height are no size of an image; take the file from the data set"
-        )
-    part = "projection_parameters"
-    K = matrix(path, {part: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]}, part, (3, 3))
-    return LensCalibration(
-        K=K,
-        T_camera_lidar=T_camera_lidar,
-        size=(width, height),
-        model="mei",
-        distortion=distortion,
-        reach_deg=REACH_DEG,
-    )
+    return replace(lens, reach_deg=REACH_DEG)
 
 
 @cached_by_files(lambda path: [path])

@@ -21,9 +21,10 @@ import numpy as np
 from lidar2pano.bounded_files import read_input
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import cached_by_files
+from lidar2pano.data.camera_files import camera_matrix, read_motion
 from lidar2pano.data.frames import Frame, FrameList, listed_names, listed_splits
 from lidar2pano.data.nuscenes_tables import CAMERAS, CHANNELS, LIDAR, NuscenesIndex, nuscenes_index, versions
-from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
+from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, moved, read_camera
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size
 from lidar2pano.formats.json_files import read_json
@@ -191,8 +192,8 @@ class InfoFrame(SurroundFrame):
         camera = self._part("images")[name]
         return read_camera(
             self.camera_file(name),
-            matrix(self.info, camera, "cam2img", (3, 3)),
-            matrix(self.info, camera, "lidar2cam", (4, 4)) @ FROM_OURS,
+            camera_matrix(self.info, camera)[0],
+            read_motion(self.info, camera, "lidar2cam") @ FROM_OURS,
             VEHICLE_LINES.get(name, ()),
         )
 
@@ -209,8 +210,8 @@ class InfoFrame(SurroundFrame):
     @cached_property
     def pose(self) -> np.ndarray:
         """See Frame."""
-        ego = matrix(self.info, self.entry, "ego2global", (4, 4))
-        return ego @ matrix(self.info, self._part("lidar_points"), "lidar2ego", (4, 4)) @ FROM_OURS
+        ego = read_motion(self.info, self.entry, "ego2global")
+        return ego @ read_motion(self.info, self._part("lidar_points"), "lidar2ego") @ FROM_OURS
 
     def _part(self, name: str) -> Mapping[str, Any]:
         part = self.entry.get(name)

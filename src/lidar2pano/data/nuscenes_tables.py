@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.bounded_files import open_regular
-from lidar2pano.calibration import is_camera_matrix
 from lidar2pano.data.cache import kept_at, write_first
+from lidar2pano.data.camera_files import camera_matrix
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json, table_rows
 from lidar2pano.geometry.motion import rotation_matrices
@@ -187,18 +187,8 @@ def _mounts(folder: Path) -> tuple[dict[str, int], list[int], np.ndarray, np.nda
     K = np.zeros((len(rows), 3, 3))
     for number, (row, name) in enumerate(zip(rows, names, strict=True)):
         if name in CAMERAS:
-            K[number] = _camera_matrix(path, row)
+            K[number] = camera_matrix(f"{path}: row {row['token']!r}", row)[0]
     return {row["token"]: n for n, row in enumerate(rows)}, channels, np.array([_pose(path, row) for row in rows]), K
-
-
-def _camera_matrix(path: Path, row: Mapping[str, Any]) -> np.ndarray:
-    try:
-        K = np.array(row["camera_intrinsic"], dtype=np.float64)
-    except (ValueError, TypeError, OverflowError):
-        K = np.zeros(0)
-    if K.shape != (3, 3) or not is_camera_matrix(K):
-        raise InputError(f"{path}: row {row['token']!r} holds no camera matrix (3x3); {MEND}")
-    return K
 
 
 def _ego_poses(path: Path, tokens: np.ndarray) -> np.ndarray:

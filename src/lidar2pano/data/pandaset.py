@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.bounded_files import read_input
+from lidar2pano.data.camera_files import camera_matrix, read_motion
 from lidar2pano.data.frames import Frame, FrameList, stems
-from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
+from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, moved, read_camera
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.scan_files import MOST_BYTES, read_bin
@@ -78,7 +79,7 @@ class PandasetFrame(SurroundFrame):
     def T_sensor_file(self) -> np.ndarray:
         """(4, 4): PandaSet's frame -> ours, whose origin is the LiDAR."""
         path, content = self.calib
-        mount = matrix(path, content["cameras"][self.front], "cam_from_lidar", (4, 4))
+        mount = read_motion(path, content["cameras"][self.front], "cam_from_lidar")
         to_lidar = np.eye(4)
         to_lidar[:3, 3] = mount[:3, :3].T @ mount[:3, 3] - LIDAR_FROM_FRONT
         return FROM_RIGHT_FORWARD @ to_lidar
@@ -99,8 +100,8 @@ class PandasetFrame(SurroundFrame):
         camera, path = content["cameras"][name], self.camera_file(name)
         if not isinstance(camera, dict):
             raise InputError(f"{calib}: camera {name} is no object; take the file from the data set")
-        T_camera_sensor = matrix(calib, camera, "cam_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_file)
-        image = read_camera(path, _camera_matrix(calib, camera), T_camera_sensor, VEHICLE_LINES.get(name, ()))
+        T_camera_sensor = read_motion(calib, camera, "cam_from_lidar") @ np.linalg.inv(self.T_sensor_file)
+        image = read_camera(path, camera_matrix(calib, camera)[0], T_camera_sensor, VEHICLE_LINES.get(name, ()))
         if list(image.calibration.size) != camera.get("size"):
             raise InputError(f"{path}: is not of the size that {calib.name} gives; take both from the data set")
         return image
@@ -115,7 +116,7 @@ class PandasetFrame(SurroundFrame):
     def pose(self) -> np.ndarray:
         """See Frame."""
         path, content = self.calib
-        return matrix(path, content, "world_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_file)
+        return read_motion(path, content, "world_from_lidar") @ np.linalg.inv(self.T_sensor_file)
 
     @cached_property
     def point_labels(self) -> np.ndarray:
@@ -172,13 +173,3 @@ def class_table(path: Path) -> np.ndarray:
             raise InputError(f"{path}: class {name!r} is not known" + closest(name, CLASSES))
         table[index] = SEMANTIC_KITTI.id_of(CLASSES[name])
     return table
-
-
-def _camera_matrix(path: Path, camera: Mapping[str, Any]) -> np.ndarray:
-    try:
-        fx, fy, cx, cy = (float(camera["K"][name]) for name in ("fx", "fy", "cx", "cy"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}: a camera's K must hold fx, fy, cx and cy; take the file from the data set"
-        ) from error
-    return matrix(path, {"K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]}, "K", (3, 3))

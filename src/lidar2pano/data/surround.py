@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from lidar2pano.calibration import Calibration, is_camera_matrix, is_rotation
+from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -138,25 +137,6 @@ def read_camera(
         ego_mask = np.arange(height)[:, None] >= np.interp(np.arange(width), u, v)
     calibration = Calibration(K=K, T_camera_lidar=T_camera_lidar, size=(width, height))
     return Camera(image=image, calibration=calibration, ego_mask=ego_mask)
-
-
-def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndarray:  # noqa: ANN401 of a JSON file
-    """Return the matrix `name` of a JSON file's entry, float64; InputError if it is missing or not of this shape.
-
-    A (4, 4) must be a motion (a rotation and a translation), a (3, 3) a camera matrix.
-    """
-    try:
-        values = np.array(entry[name], dtype=np.float64)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: holds no matrix {name!r}; take the file from the data set") from error
-    if values.shape != shape or not np.isfinite(values).all():
-        raise InputError(f"{path}: {name!r} must be {shape[0]}x{shape[1]} finite numbers, it is {values.shape}")
-    if shape == (4, 4):
-        if not is_rotation(values[:3, :3]):
-            raise InputError(f"{path}: {name!r} holds no rotation; take the file from the data set")
-    elif not is_camera_matrix(values):
-        raise InputError(f"{path}: {name!r} is no camera matrix; take the file from the data set")
-    return values
 
 
 def moved(points: np.ndarray, T: np.ndarray) -> np.ndarray:
