@@ -62,7 +62,7 @@ def test_names_of_remission(name):
     ],
 )
 def test_points_are_found_among_arrays(arrays):
-    cloud = cloud_of_arrays(arrays, format="NPZ", name="a", source="a")
+    cloud = cloud_of_arrays(arrays, format="NPZ", name="a")
     np.testing.assert_array_equal(cloud.xyz, XYZ[: len(cloud)])
     assert cloud.intensity is not None and len(cloud) >= 5000
     np.testing.assert_array_equal(cloud.intensity, FORMS[: len(cloud)])

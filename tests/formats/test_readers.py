@@ -17,7 +17,7 @@ import pytest
 import lidar2pano
 import sample_files as made
 from lidar2pano.errors import InputError
-from lidar2pano.formats.arrays import DATATYPES, cloud_of
+from lidar2pano.formats.arrays import DATATYPES, cloud_of, cloud_of_message
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
 from lidar2pano.formats.readers import open_path, read
@@ -337,7 +337,7 @@ def message(order: str = "<", padding: int = 3, rows: int = 2, **changed: Any) -
 
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_messages_of_ros(order):
-    found = cloud_of(message(order), "scan")
+    found = cloud_of_message(message(order), "scan")
     count = len(XYZ) // 2 * 2
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ[:count])
     np.testing.assert_array_equal(found.intensity, INTENSITY[:count])
@@ -373,7 +373,7 @@ def test_messages_that_make_no_sense(changed, says):
 )
 @pytest.mark.parametrize("rows", [1, 2])
 def test_a_step_that_is_not_needed_condemns_no_message(changed, says, rows):
-    found = cloud_of(message(rows=rows, padding=0, **changed), "scan")
+    found = cloud_of_message(message(rows=rows, padding=0, **changed), "scan")
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ[: len(found)])
     assert len(found) == len(XYZ) // rows * rows and says in found.doubts[0]
 
@@ -389,7 +389,7 @@ def test_a_step_that_is_not_needed_condemns_no_message(changed, says, rows):
     ],
 )
 def test_a_number_that_the_others_contradict_condemns_no_message(changed, says):
-    found = cloud_of(message(rows=1, padding=0, **changed), "scan")
+    found = cloud_of_message(message(rows=1, padding=0, **changed), "scan")
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
     assert says in found.doubts[0]
 
@@ -405,20 +405,20 @@ def test_fields_of_64_bits_are_read():
     step = rows.dtype.itemsize
     whole = {"fields": fields, "height": 1, "width": len(rows), "point_step": step, "row_step": step * len(rows),
              "is_bigendian": False, "data": rows.tobytes()}  # fmt: skip
-    found = cloud_of(SimpleNamespace(**whole), "scan")
+    found = cloud_of_message(SimpleNamespace(**whole), "scan")
     assert found.time_s is not None and found.time_s[-1] == pytest.approx(0.1) and not found.doubts
 
 
 def test_a_field_of_no_type_is_left_out():
     whole = message()
     next(part for part in whole.fields if part.name == "intensity").datatype = 0
-    assert "field 'intensity' has a type that is none (0), and is not read" in cloud_of(whole, "scan").doubts
+    assert "field 'intensity' has a type that is none (0), and is not read" in cloud_of_message(whole, "scan").doubts
 
 
 def test_a_field_beyond_the_point_is_left_out():
     whole = message()
     next(part for part in whole.fields if part.name == "intensity").offset = whole.point_step
-    found = cloud_of(whole, "scan")
+    found = cloud_of_message(whole, "scan")
     assert found.intensity is None and found.ring is not None and "field 'intensity' begins at byte" in found.doubts[0]
     np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ[: len(found)])
 

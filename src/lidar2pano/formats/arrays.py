@@ -29,7 +29,7 @@ from lidar2pano.formats.field_names import (
     meanings,
     spherical,
 )
-from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.file_contents import MOST_BYTES
 from lidar2pano.formats.foreign_files import archive_kind
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import column_names, row_width
@@ -60,7 +60,7 @@ SMALLEST, LARGEST = 1e-6, 1e7  # of a coordinate, in any unit: others are bytes 
 WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
 
 
-def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
+def cloud_of(source: Any) -> PointCloud:  # noqa: ANN401
     """Return the PointCloud of an array (N, 3..), an Open3D or PyVista cloud, or a PointCloud2 message.
 
     Columns of a plain array: x y z in metres, then intensity or remission, then the ring, as far as there are.
@@ -69,22 +69,22 @@ def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
     if isinstance(source, PointCloud):
         return source
     if all(hasattr(source, name) for name in ("fields", "point_step", "width", "height", "data")):
-        return cloud_of_message(source, name)
+        return cloud_of_message(source)
     tensors = getattr(source, "point", None)  # open3d.t.geometry.PointCloud
     if tensors is not None and "positions" in tensors:
         arrays = {key: np.asarray(value.numpy()) for key, value in dict(tensors.items()).items()}
-        return cloud_of_arrays(arrays, format="Open3D cloud", name=name, source=name)
+        return cloud_of_arrays(arrays, format="Open3D cloud")
     if hasattr(source, "points"):
         more = getattr(source, "point_data", {})  # PyVista
         arrays = {"points": np.asarray(source.points)} | {key: np.asarray(more[key]) for key in more}
-        return cloud_of_arrays(arrays, format=f"{type(source).__name__}", name=name, source=name)
+        return cloud_of_arrays(arrays, format=type(source).__name__)
     try:
         array = np.asarray(source)
     except (TypeError, ValueError):
         array = np.empty(0, object)
     if array.dtype.kind not in "fiuV":
-        raise InputError(f"{name}: a {type(source).__name__} is no cloud; give an array (N, 3) or a path")
-    return cloud_of_arrays({"": array}, format="array", name=name, source=name)
+        raise InputError(f"array: a {type(source).__name__} is no cloud; give an array (N, 3) or a path")
+    return cloud_of_arrays({"": array}, format="array")
 
 
 def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa: ANN401
@@ -199,7 +199,7 @@ def _layout(message: Any, length: int, name: str) -> tuple[tuple[int, int], tupl
     return (rows, width), (stride, step), doubts
 
 
-def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str, source: str) -> PointCloud:
+def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str | Path = "array") -> PointCloud:
     """Return the PointCloud of arrays with names.
 
     Points are the fields of a structured array, arrays x, y and z, or the array of three and more columns whose name is
@@ -208,8 +208,8 @@ def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str,
     columns = _columns({key: value for key, value in arrays.items() if value.dtype.kind in "fiuVb"})
     if not columns:
         held = ", ".join(f"{key or 'an array'} {value.shape} {value.dtype}" for key, value in arrays.items())
-        raise InputError(f"{source}: has no array of points (N, 3 or more); it has {held or 'nothing'}")
-    return cloud_of_columns(columns, format=format, name=name, source=source)
+        raise InputError(f"{name}: has no array of points (N, 3 or more); it has {held or 'nothing'}")
+    return cloud_of_columns(columns, format=format, name=name)
 
 
 def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -298,7 +298,7 @@ def _table(array: np.ndarray) -> np.ndarray | None:
 def decode_npy(data: bytes, path: Path) -> PointCloud:
     """Return the points of an array; InputError if it is damaged, pickled or no array of points."""
     array = _array(io.BytesIO(data), len(data), f"{path}")
-    return cloud_of_arrays({"": array}, format="NPY", name=stem_of(path), source=str(path))
+    return cloud_of_arrays({"": array}, format="NPY", name=path)
 
 
 def decode_npz(data: bytes, path: Path) -> PointCloud:
@@ -327,7 +327,7 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
         raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged or cut off, fetch it again") from error
     except Exception as error:  # zlib.error and others of its decompressors
         raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged, fetch it again") from error
-    return cloud_of_arrays(arrays, format="NPZ", name=stem_of(path), source=str(path))
+    return cloud_of_arrays(arrays, format="NPZ", name=path)
 
 
 def _no_arrays(archive: zipfile.ZipFile, path: Path) -> InputError:

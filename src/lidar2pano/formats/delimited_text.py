@@ -25,7 +25,7 @@ from lidar2pano.formats.field_names import (
     meanings,
     unit_factor,
 )
-from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES, stem_of
+from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import column_names
 
@@ -115,7 +115,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
         columns.setdefault(name, values if factor == 1 else values * factor)
     form = "with a header" if header else "count and numbers" if claimed is not None else "numbers only"
     doubts = [f"{left_out} of its lines hold no numbers, and are left out"] if left_out else []
-    return cloud_of_columns(columns, format=f"text, {form}", name=stem_of(path), source=str(path), doubts=doubts)
+    return cloud_of_columns(columns, format=f"text, {form}", name=path, doubts=doubts)
 
 
 def _plain_numbers(data: bytes) -> bytes:

@@ -14,7 +14,6 @@ import numpy as np
 
 from lidar2pano.bounded_files import name_of_open, open_regular
 from lidar2pano.errors import InputError
-from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MAGIC = b"ASTM-E57"
@@ -54,7 +53,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     except Exception as error:  # of libE57, depending on the damage
         raise _damage(path, error) from None
     doubts = [f"it holds {scans} scans, of which the first is read"] if scans > 1 else []
-    return cloud_of_columns(columns, format="E57", name=stem_of(path), source=str(path), doubts=doubts)
+    return cloud_of_columns(columns, format="E57", name=path, doubts=doubts)
 
 
 def blocks_of(path: Path) -> Iterator[dict[str, np.ndarray]]:

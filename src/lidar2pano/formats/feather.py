@@ -51,7 +51,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     for (name, factor), parts in zip(meanings(list(columns)), columns.values(), strict=True):
         values = np.concatenate(parts)
         whole.setdefault(name, values if factor == 1 else values * factor)
-    return cloud_of_columns(whole, format=f"{kind} (Arrow)", name=stem, source=str(path), stamp_s=stamp_s)
+    return cloud_of_columns(whole, format=f"{kind} (Arrow)", name=path, stamp_s=stamp_s)
 
 
 def _feather_batches(data: bytes) -> Iterator[Any]:

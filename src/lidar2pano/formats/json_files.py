@@ -24,11 +24,12 @@ DEEPEST = 64  # lists and objects within each other
 LARGEST = 2**63  # of whole numbers
 BLOCK_BYTES = 1 << 22  # of a table are read at a time: nuScenes' sample_data.json has 2.6 million rows in 1.2 GB
 LONGEST_ROW = 1 << 20
+INCOMPLETE = "complete the data set"
 NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", type(None): "null"}
 T = TypeVar("T")
 
 
-def read_json(path: Path, mend: str = "complete the data set", *, nan: bool = False) -> Any:
+def read_json(path: Path, mend: str = INCOMPLETE, *, nan: bool = False) -> Any:
     """Read a JSON file; InputError if it is missing, no regular file, too large, or refused by `parse_json`."""
     return parse_json(read_input(path, mend), str(path), mend, nan=nan)
 
@@ -74,9 +75,7 @@ def json_lines(data: bytes) -> Iterator[dict[str, Any]]:
             yield entry
 
 
-def table_rows(
-    path: Path, is_needed: Callable[[bytes], object] = lambda _: True, mend: str = "complete the data set"
-) -> Iterator[dict[str, Any]]:
+def table_rows(path: Path, is_needed: Callable[[bytes], object] = lambda _: True) -> Iterator[dict[str, Any]]:
     """Yield the rows of a file: a list of objects without objects (or braces in a text) in them.
 
     is_needed  (text of a row without its braces) -> whether the row is parsed.
@@ -84,28 +83,28 @@ def table_rows(
     only needed rows are looked into.
     """
     expected_separator, rest = b"[", b""
-    for block in _blocks(path, mend):
+    for block in _blocks(path):
         *rows, rest = (rest + block).split(b"}")
         for row in rows:
             separator, brace, fields = row.partition(b"{")
             if not brace or separator.strip() != expected_separator:
-                raise InputError(f"{path}: is no list of flat objects; {mend}")
+                raise InputError(f"{path}: is no list of flat objects; {INCOMPLETE}")
             expected_separator = b","
             if is_needed(fields):
-                yield parse_json(b"{%b}" % fields, str(path), mend)
+                yield parse_json(b"{%b}" % fields, str(path), INCOMPLETE)
         if len(rest) > LONGEST_ROW:
-            raise InputError(f"{path}: has a row of more than {LONGEST_ROW} bytes; {mend}")
+            raise InputError(f"{path}: has a row of more than {LONGEST_ROW} bytes; {INCOMPLETE}")
     if b"".join(rest.split()) != (b"]" if expected_separator == b"," else b"[]"):
-        raise InputError(f"{path}: ends within a row; {mend}")
+        raise InputError(f"{path}: ends within a row; {INCOMPLETE}")
 
 
-def _blocks(path: Path, mend: str) -> Iterator[bytes]:
+def _blocks(path: Path) -> Iterator[bytes]:
     try:
         with open_regular(path) as file:
             while block := file.read(BLOCK_BYTES):
                 yield block
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {INCOMPLETE}") from error
 
 
 def validated(cls: type[T], value: Any, source: str, mend: str = "replace it") -> T:  # noqa: ANN401

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lidar2pano.errors import InputError, require_extra
-from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.file_contents import MOST_BYTES
 from lidar2pano.formats.point_cloud import BLOCK_POINTS, MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 HEADER_BYTES, LAZ_FLAG = 247, 104  # of version 1.4; the byte of the point format, whose highest bit says "packed"
@@ -25,7 +25,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     blocks = list(blocks_of(io.BytesIO(data), len(data), path, sweep=True))  # memory grows with decoded points
     columns = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     form = ("LAZ" if data[LAZ_FLAG] & 0x80 else "LAS") + f" {data[24]}.{data[25]}"
-    return cloud_of_columns(columns, format=form, name=stem_of(path), source=str(path))
+    return cloud_of_columns(columns, format=form, name=path)
 
 
 def blocks_of(file: BinaryIO, length: int, path: Path, *, sweep: bool = False) -> Iterator[dict[str, np.ndarray]]:

@@ -134,5 +134,5 @@ def _cloud(columns: Columns, path: Path) -> PointCloud:
     unused = {key for names, words in FIELDS for key in find_named(columns, names, words)}
     unused -= set(find_named(columns, *FIELDS[0])[:1])  # of several the first, in all blocks
     return cloud_of_columns(
-        {key: values for key, values in columns.items() if key not in unused}, format="map", name=path.stem
+        {key: values for key, values in columns.items() if key not in unused}, format="map", name=path
     )

@@ -15,7 +15,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import numbers
-from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.file_contents import MOST_BYTES
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
@@ -59,14 +59,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
             raise InputError(f"{path}: its header says {claims} points, but it holds {count}; write the file again")
         points, product = header.claims
         doubts += [f"its header says {points} points, but WIDTH x HEIGHT is {product}; {count} are read"]
-    return cloud_of_columns(
-        columns,
-        format=f"PCD, {header.layout}",
-        name=stem_of(path),
-        source=str(path),
-        viewpoint=header.viewpoint,
-        doubts=doubts,
-    )
+    form = f"PCD, {header.layout}"
+    return cloud_of_columns(columns, format=form, name=path, viewpoint=header.viewpoint, doubts=doubts)
 
 
 def row_layout(head: bytes, path: Path) -> RowLayout | None:

@@ -12,7 +12,6 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import numbers
-from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, RowLayout, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
@@ -84,7 +83,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     doubts = [f"it has {faces} faces: a mesh, and no scan of a LiDAR"] if faces > 0 else []
     if is_of_carla(data[:header_end], vertices):
         columns["y"], doubts = -columns["y"], [*doubts, OF_CARLA]
-    return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path), doubts=doubts)
+    return cloud_of_columns(columns, format=f"PLY, {layout}", name=path, doubts=doubts)
 
 
 def is_of_carla(header: bytes, vertices: Element) -> bool:

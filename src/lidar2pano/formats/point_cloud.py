@@ -28,6 +28,7 @@ from lidar2pano.formats.field_names import (
     second_pairs,
     spherical,
 )
+from lidar2pano.formats.file_contents import stem_of
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
 BLOCK_POINTS = 1 << 16  # read at a time of files of any length
@@ -158,8 +159,7 @@ def cloud_of_columns(
     columns: Mapping[str, np.ndarray],
     *,
     format: str,
-    name: str,
-    source: str = "",
+    name: str | Path,
     frame: str = "",
     stamp_s: float | None = None,
     viewpoint: np.ndarray | None = None,
@@ -167,11 +167,12 @@ def cloud_of_columns(
 ) -> PointCloud:
     """Return the PointCloud whose fields are `columns`: name -> (N,) of any numeric dtype and byte order.
 
+    name  of the cloud, or the path of its file; it begins the message of an InputError.
     Fields are found by the names above; others are only listed. Raises InputError if x, y or z is missing or there
-    is no point; `source`, else the name, begins its message.
+    is no point.
     """
     if are_poses(columns):
-        raise InputError(f"{source or name}: {POSES}")
+        raise InputError(f"{name}: {POSES}")
     key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if not {"x", "y", "z"} <= key_by_name.keys() and (polar := spherical(list(columns))):
         columns, doubts = _with_places(columns, polar), [*doubts, POLAR_DOUBT]
@@ -181,18 +182,15 @@ def cloud_of_columns(
         key_by_name = {name: key for key, (name, _) in axes_by_key}
     if missing := [axis for axis in "xyz" if axis not in key_by_name]:
         held = ", ".join(columns) or "none"
-        raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
+        raise InputError(f"{name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
     axes = [columns[key_by_name[axis]] for axis in "xyz"]
     if not 0 < len(axes[0]) <= MOST_POINTS:
-        raise sweep_error(source or name, len(axes[0]))
+        raise sweep_error(name, len(axes[0]))
     exact = any(axis.dtype.itemsize > 4 or (axis.dtype.kind in "iu" and axis.dtype.itemsize > 2) for axis in axes)
     dtype = np.float64 if exact else np.float32
-    if (together := _side_by_side(axes)) is not None:
-        xyz = together.astype(dtype, copy=False)
-    else:
-        xyz = np.empty((len(axes[0]), 3), dtype)
-        for column, axis in enumerate(axes):
-            xyz[:, column] = axis
+    xyz = np.empty((len(axes[0]), 3), dtype)
+    for column, axis in enumerate(axes):
+        xyz[:, column] = axis
     squared = np.einsum("ij,ij->i", xyz, xyz)
     valid = np.isfinite(squared) & (squared > 0)
     intensity, ring, time, light = (
@@ -208,7 +206,7 @@ def cloud_of_columns(
         stamp_s=start_s,
         frame=frame,
         format=format,
-        name=name,
+        name=stem_of(name) if isinstance(name, Path) else name,
         fields=tuple(columns),
         viewpoint=viewpoint,
         doubts=(*doubts, *unsure),
@@ -243,19 +241,6 @@ def _whole_times(columns: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarra
         ):
             return [(prefix, seconds.astype(np.int64) * 10**9 + parts.astype(np.int64) * unit)]
     return []
-
-
-def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
-    """Return three columns as one array (N, 3), a view, if they lie side by side in each record."""
-    first, *further = axes
-    size = first.dtype.itemsize
-    start = first.__array_interface__["data"][0]
-    for place, axis in enumerate(further, 1):
-        if (axis.dtype, axis.strides) != (first.dtype, first.strides):
-            return None
-        if axis.__array_interface__["data"][0] != start + place * size:
-            return None
-    return np.lib.stride_tricks.as_strided(first, (len(first), 3), (first.strides[0], size), writeable=False)
 
 
 def _telling(fields: Sequence[tuple[str, np.ndarray]], valid: np.ndarray) -> np.ndarray:

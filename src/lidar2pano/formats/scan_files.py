@@ -11,7 +11,6 @@ import numpy as np
 
 from lidar2pano.bounded_files import read_input
 from lidar2pano.errors import InputError
-from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import MOST_RINGS, are_integers, block_count, column_names, row_width
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -61,12 +60,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
     if _odd_share(table[:SAMPLE, places]) > MOST_FAR:
         raise _no_points(path)
     form = {KITTI: "KITTI", NUSCENES: "nuScenes"}.get(tuple(names), f"{width} numbers a point")
-    return cloud_of_columns(
-        dict(zip(names, table.T, strict=True)),
-        format=f"{TYPES[kind]} rows, {form}",
-        name=stem_of(path),
-        source=str(path),
-    )
+    columns = dict(zip(names, table.T, strict=True))
+    return cloud_of_columns(columns, format=f"{TYPES[kind]} rows, {form}", name=path)
 
 
 def _no_points(path: Path) -> InputError:
