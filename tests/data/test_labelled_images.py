@@ -33,7 +33,7 @@ def test_label_ids_become_train_ids_by_name():
 def test_cityscapes_is_read_by_split(cityscapes):
     train = frames(cityscapes, "train")
     names = [f"aachen/aachen_{number:06d}_000019" for number in range(3)] + ["ulm/ulm_000000_000019"]
-    assert train.layout == "cityscapes" and list(train.names) == names
+    assert list(train.names) == names
     assert len(frames(cityscapes, "val")) == 2
     ids, colours = camera_view()
     for frame in train:  # by train ids and by label ids
@@ -47,7 +47,7 @@ def test_cityscapes_is_read_by_split(cityscapes):
 @pytest.mark.parametrize("splits", [(), ("train", "val")])
 def test_any_images_beside_labels_are_a_data_set(tmp_path, splits):
     found = frames(write_folders(tmp_path, *splits), "train")
-    assert found.layout == "images" and list(found.names) == ["deep.er/b", "train/a"]
+    assert list(found.names) == ["deep.er/b", "train/a"]
     ids, _ = camera_view()
     assert all(np.array_equal(*frame.require("camera_labels"), ids) for frame in found)
     if not splits:

@@ -156,7 +156,7 @@ def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp
     [(0, list(range(10))), (10, list(range(10))), (99, list(range(10))), (1, [0]), (4, [0, 3, 6, 9])],
 )
 def test_scored_frames_reach_from_the_first_to_the_last(count, numbers):
-    split = FrameList("semantic-kitti", ((f"00/{number:06d}", Frame) for number in range(10)))
+    split = FrameList((f"00/{number:06d}", Frame) for number in range(10))
     scored = sampled(split, count)
     assert [int(name.partition("/")[2]) for name in scored.names] == numbers
     assert [frame.name for frame in scored] == list(scored.names)

@@ -81,4 +81,4 @@ def test_processes_share_the_scans_and_say_how_far_they_are(task):
 
 
 def test_without_a_segmenter_nothing_happens():
-    predict_all(SimpleNamespace(dataset=FrameList("semantic-kitti", ())), torch.device("cpu"))  # type: ignore[arg-type]
+    predict_all(SimpleNamespace(dataset=FrameList()), torch.device("cpu"))  # type: ignore[arg-type]

@@ -95,7 +95,7 @@ class ClipDataset:
         self, root: Path, splits: tuple[str, ...], framing: Framing, length: int, stills: tuple[str, ...] = ()
     ) -> None:
         self.framing, self.length = framing, length
-        self.frames = FrameList("semantic-kitti", ())
+        self.frames = FrameList[Frame]()
         sequences: list[range | tuple[int, ...]] = []
         for split in splits:
             frames = frames_of(root, (split,))
@@ -107,7 +107,7 @@ class ClipDataset:
         if not sequences and not singles:
             raise InputError(
                 f"{root}: no {length} frames of split {' or '.join(splits)} follow each other; choose another split or "
-                "fewer options.frames, or name the split in options.stills"
+                "a smaller options.clip_length, or name the split in options.single_frame_splits"
             )
         self.clips = sequences * max(1, len(singles) // max(len(sequences), 1)) + singles  # indices of frames
         self._images, self._flows = LruCache(), LruCache()

@@ -121,12 +121,10 @@ F_co = TypeVar("F_co", bound=Frame, covariant=True)
 class FrameList(Sequence[F_co]):
     """Frames of a split. Indexing makes a new Frame, and nothing is held: memory does not grow with reading.
 
-    layout  "semantic-kitti", "simulated", "pandaset", "nuscenes", "kitti-360", "cityscapes" or "images".
-    names   of the frames, in order.
+    names  of the frames, in order.
     """
 
-    def __init__(self, layout: str, entries: Iterable[tuple[str, Callable[[str], F_co]]]) -> None:
-        self.layout = layout
+    def __init__(self, entries: Iterable[tuple[str, Callable[[str], F_co]]] = ()) -> None:
         self._entries = tuple(entries)  # name -> Frame, by a function shared by all frames of a split
 
     @property
@@ -147,13 +145,13 @@ class FrameList(Sequence[F_co]):
     def __getitem__(self, index: int | slice) -> F_co | FrameList[F_co]:
         """Return a new Frame, or the FrameList of a slice; nothing is read."""
         if isinstance(index, slice):
-            return FrameList(self.layout, self._entries[index])
+            return FrameList(self._entries[index])
         name, open_frame = self._entries[index]
         return open_frame(name)
 
     def __add__(self, frames: FrameList[Any]) -> FrameList[F_co]:
-        """Return the frames of both; the layout is the first's."""
-        return FrameList(self.layout, self._entries + frames._entries)
+        """Return the frames of both."""
+        return FrameList(self._entries + frames._entries)
 
 
 def evenly_spaced(frames: int, most: int = 500) -> list[int]:

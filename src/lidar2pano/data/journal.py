@@ -7,13 +7,12 @@ else's and is left alone, never the other way round.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lidar2pano.bounded_files import open_regular, read_bytes
+from lidar2pano.bounded_files import read_bytes, sha256_of
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import append_bytes
 from lidar2pano.formats.json_files import json_lines, validated
@@ -93,8 +92,7 @@ def stamp_of(path: Path, recorded: Stamp | None = None) -> Stamp:
         now = path.stat()
         if recorded and (now.st_size, now.st_mtime_ns) == (recorded.size, recorded.changed_ns):
             return recorded
-        with open_regular(path) as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = sha256_of(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission") from error
     return Stamp(sha256=digest, size=now.st_size, changed_ns=now.st_mtime_ns)

@@ -78,7 +78,7 @@ class Kitti360Frame(SurroundFrame):
     The panorama, which needs all three images and the calibrations, has no labels; its depths are the scan's alone.
     """
 
-    front = CAMERA
+    front, camera_names = CAMERA, ()  # its images are taken whole, ahead or stitched
 
     def __init__(self, root: Path, view: View, name: str) -> None:
         super().__init__(name, view)
@@ -146,11 +146,6 @@ class Kitti360Frame(SurroundFrame):
         for path in files:
             _check_size(path, camera.size, FILES[0])
         return camera
-
-    @cached_property
-    def camera_names(self) -> tuple[str, ...]:
-        """Return no names: its images are taken whole, ahead or stitched."""
-        return ()
 
     @cached_property
     def cameras(self) -> Mapping[str, Camera]:
@@ -227,7 +222,8 @@ def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
         raise InputError(f"{root}: no split {split!r}" + closest(split, ("train", "val", "all", *sequences)))
     if not names:
         raise InputError(f"{root}: split {split!r} has no scan ({SCANS}/*/velodyne_points/data); complete the data set")
-    return FrameList("kitti-360", zip(names, [partial(Kitti360Frame, root, view)] * len(names), strict=True))
+    open_frame = partial(Kitti360Frame, root, view)
+    return FrameList((name, open_frame) for name in names)
 
 
 def _check_size(path: Path, size: tuple[int, int], source: str) -> None:

@@ -89,7 +89,7 @@ def frames(root: Path, split: str) -> FrameList[LabelledImage]:
         raise InputError(f"{root}: no split {split!r}{closest(split, splits)}")
     if not entries:
         raise InputError(f"{root}: split {split!r} has no image (.png or .jpg); complete the data")
-    return FrameList("cityscapes" if cityscapes else "images", ((name, entries[name]) for name in sort_names(entries)))
+    return FrameList((name, entries[name]) for name in sort_names(entries))
 
 
 def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, OpenFrame]]:

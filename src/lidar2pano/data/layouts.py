@@ -59,7 +59,7 @@ def frames_of(root: Path, splits: Sequence[str]) -> FrameList[Frame]:
 
     "FOLDER:split" is a split of another data set, e.g. a simulated one beside the real one in `root`.
     """
-    return sum((frames(*locate_split(root, name)) for name in splits), FrameList[Frame]("semantic-kitti", ()))
+    return sum((frames(*locate_split(root, name)) for name in splits), FrameList[Frame]())
 
 
 def locate_split(root: Path, name: str) -> tuple[Path, str]:

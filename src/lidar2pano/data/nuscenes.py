@@ -83,7 +83,7 @@ class NuscenesSample(SurroundFrame):
     so static surfaces agree with the scan.
     """
 
-    front = CAMERAS[0]
+    front, camera_names = CAMERAS[0], CAMERAS
 
     def __init__(self, index: NuscenesIndex, view: View, name: str) -> None:
         super().__init__(name, view)
@@ -115,11 +115,6 @@ class NuscenesSample(SurroundFrame):
         """See Frame; no image is read for it beyond its header."""
         K, T_camera_lidar = self._mount(self.front)
         return Calibration(K=K, T_camera_lidar=T_camera_lidar, size=image_size(self.file(self.front)))
-
-    @cached_property
-    def camera_names(self) -> tuple[str, ...]:
-        """See SurroundFrame."""
-        return CAMERAS
 
     def camera_file(self, name: str) -> Path:
         """See SurroundFrame."""
@@ -234,12 +229,9 @@ def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     if not samples:
         raise InputError(f"{root}: split {split!r} has no sample; complete the data set")
     return FrameList(
-        "nuscenes",
-        (
-            (f"{scene}/{number:06d}", partial(NuscenesSample, index, view))
-            for index, scene, numbers in samples
-            for number in numbers
-        ),
+        (f"{scene}/{number:06d}", partial(NuscenesSample, index, view))
+        for index, scene, numbers in samples
+        for number in numbers
     )
 
 
@@ -261,7 +253,7 @@ def info_frames(root: Path, split: str, view: View) -> FrameList[InfoFrame]:
             f"{info}: has a sample without a number 'sample_idx'; take the file from the data set"
         ) from error
     open_frame = partial(InfoFrame, info, view, named)
-    return FrameList("nuscenes", ((name, open_frame) for name in named))
+    return FrameList((name, open_frame) for name in named)
 
 
 def frame_of(scan_file: Path, view: View) -> NuscenesSample | InfoFrame | None:

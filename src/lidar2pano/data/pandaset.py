@@ -150,7 +150,7 @@ def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     ]
     if not entries:
         raise InputError(f"{root}: split {split!r} has no scan (sequences/*/velodyne/*.bin); complete the data")
-    return FrameList("pandaset", entries)
+    return FrameList(entries)
 
 
 def class_table(path: Path) -> np.ndarray:

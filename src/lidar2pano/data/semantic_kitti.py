@@ -209,8 +209,8 @@ def frames(root: Path, split: str) -> FrameList[SemanticKittiFrame]:
         ]
     if not names:
         raise InputError(f"{root}: split {split!r} has no scan")
-    layout = "simulated" if (root / "world.json").is_file() else "semantic-kitti"
-    return FrameList(layout, zip(names, [partial(open_frame, folder)] * len(names), strict=True))
+    open_one = partial(open_frame, folder)
+    return FrameList((name, open_one) for name in names)
 
 
 def open_frame(folder: Path, name: str) -> SemanticKittiFrame:

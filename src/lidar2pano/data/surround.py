@@ -11,7 +11,6 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
-from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import RangeImage, project
@@ -26,23 +25,23 @@ FROM_RIGHT_FORWARD = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0
 
 
 class SurroundFrame(Frame):
-    """A frame of a data set with cameras all around; `front` is the name of the forward camera.
+    """A frame of a data set with cameras all around.
 
+    front         the name of the forward camera.
+    camera_names  the cameras, in the data set's order.
+    whole_scan    the scan with the points on the vehicle itself.
     view  the raster of its panorama, whose origin becomes the front camera's centre.
     The panorama's depths and labels are those of the points in the pixels.
     """
 
     front: str
+    camera_names: tuple[str, ...]
+    whole_scan: Scan
 
     def __init__(self, name: str, view: View) -> None:
         super().__init__(name)
         self.view = view
         self._panoramas: dict[View, PanoramaGroundTruth] = {}
-
-    @cached_property
-    def camera_names(self) -> tuple[str, ...]:
-        """The cameras, in the data set's order."""
-        raise NotImplementedError
 
     def camera(self, name: str) -> Camera:
         """Read a camera; InputError if its image is missing or damaged."""
@@ -61,11 +60,6 @@ class SurroundFrame(Frame):
     def cameras(self) -> Mapping[str, Camera]:
         """The images by camera, in the data set's order."""
         return {name: self.camera(name) for name in self.camera_names}
-
-    @cached_property
-    def whole_scan(self) -> Scan:
-        """The scan with the points on the vehicle itself."""
-        raise NotImplementedError
 
     @cached_property
     def scan(self) -> Scan:

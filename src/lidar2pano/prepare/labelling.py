@@ -62,7 +62,7 @@ def frames_to_label(root: Path, splits: Sequence[str] = ()) -> FrameList[Semanti
     if not names:
         raise InputError(f"{root}: has neither scans (velodyne/*.bin) nor images (image_2/*.png or *.jpg)")
     by_sequence = sorted(names, key=lambda name: name.partition("/")[0])  # stable; one journal at a time is open
-    return FrameList("semantic-kitti", ((name, partial(open_frame, folder)) for name in by_sequence))
+    return FrameList((name, partial(open_frame, folder)) for name in by_sequence)
 
 
 def label(

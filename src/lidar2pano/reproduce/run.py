@@ -319,7 +319,7 @@ def _segmenter(name: str) -> Path:
 def sampled(split: FrameList, count: int) -> FrameList:
     """Return all frames, or `count` of them, evenly spaced from the first to the last."""
     indices = evenly_spaced(len(split), count or len(split))
-    return sum((split[index : index + 1] for index in indices), FrameList(split.layout, ()))
+    return sum((split[index : index + 1] for index in indices), FrameList())
 
 
 def score_row(
