@@ -16,10 +16,10 @@ from lidar2pano.formats.sensor_placement import (
     Placement,
     best_ground,
     evidence_of_x,
+    find_other_axes,
     find_unit,
     fit_ground,
     is_offset,
-    stands,
 )
 from lidar2pano.formats.unnamed_columns import share_between
 
@@ -194,15 +194,15 @@ def contradictions(sample: np.ndarray, first: Placement) -> list[str]:
     ground = best_ground(moved)
     if ground and ground.share >= SURE_SHARE and ground.height_m < BELOW_M:
         return _of_ground(moved, ground)
-    cause = next((cause for cause, turn in OTHER_AXES.items() if stands(best_ground(moved @ turn.T))), "")
-    return [f"{cause}, unlike in the first scan; it is read by itself"] if cause else []
+    axes = find_other_axes(moved)
+    return [f"{axes[0]}, unlike in the first scan; it is read by itself"] if axes else []
 
 
 def _of_ground(moved: np.ndarray, ground: Ground) -> list[str]:
     if ground.tilt_deg > MOST_TILT_DEG:
         tilt = f"its ground is tilted by {ground.tilt_deg:.0f} degrees against the first scan's"
         return [f"{tilt}; it is read by itself"]
-    if (evidence_of_x(moved, ground) or 0.0) < -OPPOSED:
+    if evidence_of_x(moved, ground) < -OPPOSED:
         return ["its forward axis is not the first scan's; it is read by itself"]
     return []
 

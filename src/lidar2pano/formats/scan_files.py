@@ -44,7 +44,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
     kind = min(shares, key=lambda kind: shares[kind])
     if shares[kind] > MOST_ODD and len(data) > FEWEST_BYTES:
         raise _no_points(path)
-    width = _width(data, kind)
+    width = row_width(_numbers(data, kind, len(data)))
+    width = width if width >= len("xyz") else 0  # it tells nothing
     whole = len(data) % np.dtype(kind).itemsize == 0
     if not width and whole and (columns := block_count(_numbers(data, kind, len(data)))):
         width, table = columns, np.frombuffer(data, kind).reshape(columns, -1).T
@@ -126,11 +127,6 @@ def _odd_share(values: np.ndarray) -> float:
     with np.errstate(invalid="ignore"):
         size = np.abs(values[np.isfinite(values)])
     return float(np.mean((size > FAR_M) | ((size > 0) & (size < SMALLEST)))) if len(size) else 1.0
-
-
-def _width(data: bytes, kind: str) -> int:
-    """Return the numbers of a point by their likeness, 0 if that tells nothing."""
-    return width if (width := row_width(_numbers(data, kind, len(data)))) >= len("xyz") else 0
 
 
 def _shortest_width(data: bytes, kind: str) -> int:

@@ -174,20 +174,18 @@ def _refined(points: np.ndarray, plane: np.ndarray) -> Ground:
     return Ground(height_m=float(plane[0]), slope=(float(plane[1]), float(plane[2])), share=share)
 
 
-def blind_radii(
-    xyz: np.ndarray, ground: Ground
-) -> tuple[tuple[float | None, float | None], tuple[float | None, float | None]]:
-    """Return distances of the first visible ground: (along x, along -x), (along y, along -y); None for no ground."""
+def blind_radii(xyz: np.ndarray, ground: Ground) -> tuple[list[float], list[float]]:
+    """Return distances of the first visible ground: along x and -x, along y and -y; without those of no ground."""
     x, y, _ = xyz.T
     distance = np.hypot(x, y)
     flat = np.abs(ground.height_of(xyz)) < INSIDE_M
     flat &= (distance > OWN_M) & (distance < BLIND_M)
     azimuth, distance = np.degrees(np.arctan2(y[flat], x[flat])), distance[flat]
-    radii: list[float | None] = []
-    for middle in (0, 180, 90, -90):
+    radii: tuple[list[float], list[float]] = [], []
+    for axis, middle in enumerate((0, 90, 180, -90)):
         inside = distance[np.abs((azimuth - middle + 180) % 360 - 180) < SIDE_DEG]
-        radii.append(float(np.percentile(inside, 1)) if len(inside) > FEWEST_CELLS else None)
-    return (radii[0], radii[1]), (radii[2], radii[3])
+        radii[axis % 2].extend(np.percentile(inside, [1]).tolist() if len(inside) > FEWEST_CELLS else [])
+    return radii
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,12 +229,7 @@ class Placement:
             return xyz
         moved = xyz.astype(np.float64) * self.unit_m - self.viewpoint_m
         moved[~returns] = np.nan
-        if self.turn != UPRIGHT:
-            return moved @ self.rotation.T
-        cosine, sine = FORWARD[self.forward]
-        x, y = moved[:, 0].copy(), moved[:, 1].copy()
-        moved[:, 0], moved[:, 1] = cosine * x + sine * y, cosine * y - sine * x
-        return moved
+        return moved @ self.rotation.T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -372,14 +365,20 @@ def best_ground(sample: np.ndarray) -> Ground | None:
     return tilted if tilted and (ground is None or tilted.share > ground.share) else ground
 
 
-def stands(ground: Ground | None) -> bool:
-    """Return whether a sensor stands on the ground as on a vehicle: most cells belong to it, at a vehicle's height."""
-    return ground is not None and ground.share >= SURE_SHARE and HEIGHTS_M[0] <= -ground.height_m <= HEIGHTS_M[1]
+def stands(ground: Ground | None, *, level: bool = False) -> bool:
+    """Return whether a sensor stands on the ground as on a vehicle: most cells belong to it, at a vehicle's height.
+
+    level  and it is no steeper than a road.
+    """
+    if ground is None or (level and not ground.level):
+        return False
+    return ground.share >= SURE_SHARE and HEIGHTS_M[0] <= -ground.height_m <= HEIGHTS_M[1]
 
 
-def stands_level(ground: Ground | None) -> bool:
-    """Return whether it does so, and the ground is no steeper than a road."""
-    return ground is not None and ground.level and stands(ground)
+def find_other_axes(xyz: np.ndarray) -> tuple[str, np.ndarray, Ground] | None:
+    """Return the first of OTHER_AXES with which a sensor stands on the ground, its rotation and the ground."""
+    grounds = ((cause, turn, best_ground(xyz @ turn.T)) for cause, turn in OTHER_AXES.items())
+    return next(((cause, turn, ground) for cause, turn, ground in grounds if ground and stands(ground)), None)
 
 
 def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tuple[Stance, str, bool]:
@@ -394,7 +393,7 @@ def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tu
     plain = Stance(np.zeros(3), np.eye(3))
     origin, turn = viewpoint[:3, 3] * unit_m, viewpoint[:3, :3]
     turns = [turn.T, turn] if not np.allclose(turn, np.eye(3)) else []
-    upright = stands_level(best_ground(sample))
+    upright = stands(best_ground(sample), level=True)
     candidates = [Stance(plain.origin, rotation, turn_by=BY_VIEWPOINT) for rotation in turns]
     if np.linalg.norm(origin) > NEAREST_M:
         moved = [Stance(origin, turn.T, BY_VIEWPOINT, BY_VIEWPOINT), Stance(origin, np.eye(3), BY_VIEWPOINT)]
@@ -406,21 +405,17 @@ def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tu
         elif not upright and not np.any(np.abs(origin[:2]) > NEAREST_M):
             candidates += moved
     if upright:
-        evidence = _evidence(sample)
-        shown = [_evidence(stance.moved(sample)) for stance in candidates]
+        seen = [stance.moved(sample) for stance in (plain, *candidates)]
+        evidence, *shown = (evidence_of_x(xyz, best_ground(xyz)) for xyz in seen)
         if not shown or max(shown) < max(evidence, 0.0) + SHOWS_AGAINST:
             unused = "; the file's VIEWPOINT is not used: the scan is plausible without it"
             return plain, unused, bool(shown) and max(shown) > evidence - SHOWS_AGAINST
         best = next(stance for stance, value in zip(candidates, shown, strict=True) if value > max(shown) - SHOWS)
         return best, "", False
     for candidate in candidates:
-        if stands_level(best_ground(candidate.moved(sample))):
+        if stands(best_ground(candidate.moved(sample)), level=True):
             return candidate, "", False
     return plain, "; the file's VIEWPOINT is not used: it does not make the scan plausible", False
-
-
-def _evidence(xyz: np.ndarray) -> float:
-    return evidence_of_x(xyz, best_ground(xyz)) or 0.0
 
 
 def _sharpest(sample: np.ndarray, stances: list[Stance]) -> float:
@@ -441,13 +436,13 @@ def _upright(sample: np.ndarray, stance: Stance) -> tuple[Stance, Ground | None,
     ground = best_ground(moved)
     if ground and (ground.height_m < BELOW_M or abs(ground.height_m) < VEHICLE_GROUND_M):
         return _levelled(sample, stance, ground)
-    for cause, turn in OTHER_AXES.items():
-        if stands(turned := best_ground(moved @ turn.T)) and turned:
-            stance, turned, doubts = _levelled(sample, _turned(stance, turn, cause), turned)
-            named = cause.startswith(("z", "the axes"))  # where ahead is too
-            guess = "" if named else f"; {WHICH_END}, and a left-handed frame stays mirrored"
-            return stance, turned, [f"{cause}; its points were turned to have z up{guess}", *doubts]
-    return stance, ground, []
+    if (axes := find_other_axes(moved)) is None:
+        return stance, ground, []
+    cause, turn, turned = axes
+    stance, turned, doubts = _levelled(sample, _turned(stance, turn, cause), turned)
+    named = cause.startswith(("z", "the axes"))  # where ahead is too
+    guess = "" if named else f"; {WHICH_END}, and a left-handed frame stays mirrored"
+    return stance, turned, [f"{cause}; its points were turned to have z up{guess}", *doubts]
 
 
 def _levelled(sample: np.ndarray, stance: Stance, ground: Ground) -> tuple[Stance, Ground, list[str]]:
@@ -490,7 +485,7 @@ def _forward(sample: np.ndarray, ground: Ground | None, claims: Claims, turned: 
     """
     if claims.named_forward:
         return claims.named_forward, "--forward", []
-    evidence = evidence_of_x(sample, ground) or 0.0
+    evidence = evidence_of_x(sample, ground)
     why = "the ground that the vehicle hides and the road's direction show it"
     if not claims.forward:
         if evidence >= -(SHOWS if turned else SHOWS_AGAINST):
@@ -535,16 +530,16 @@ def is_map(sample: np.ndarray, away: bool) -> bool:
     return bool(np.sqrt(spread[dense].sum() / counts[dense].sum()) > MAP_SPREAD)
 
 
-def evidence_of_x(xyz: np.ndarray, ground: Ground | None) -> float | None:
-    """Return the evidence for x and against y as the axis along the road; None for a sensor not on a car.
+def evidence_of_x(xyz: np.ndarray, ground: Ground | None) -> float:
+    """Return the evidence for x and against y as the axis along the road; 0 for a sensor not on a car.
 
     xyz  (N, 3) float64 metres, z up.
     The sum of two logarithms of ratios: a car hides the ground farther before and behind it than beside it; what
     stands along a road (walls, kerbs, hedges, rows of cars) is gathered at few places across it.
     """
     if ground is None or not CAR_HEIGHT_M[0] <= -ground.height_m <= CAR_HEIGHT_M[1]:
-        return None
-    along, across = ([radius for radius in radii if radius] for radii in blind_radii(xyz, ground))
+        return 0.0
+    along, across = blind_radii(xyz, ground)
     hidden = float(np.log(np.mean(along) / np.mean(across))) if along and across else 0.0
     distance = np.hypot(xyz[:, 0], xyz[:, 1])
     height = ground.height_of(xyz)
