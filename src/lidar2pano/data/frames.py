@@ -222,6 +222,11 @@ def stems(folder: Path, *suffixes: str) -> list[str]:
     return sort_names({name[: -len(suffix)] for name in files for suffix in suffixes if name.endswith(suffix)})
 
 
+def scan_names(sequences: Iterable[str], scans: Callable[[str], Path]) -> list[str]:
+    """Return the names "seq/NNNNNN" of all scans NNNNNN.bin in the folders `scans(seq)` of some sequences."""
+    return [f"{sequence}/{stem}" for sequence in sequences for stem in stems(scans(sequence), ".bin")]
+
+
 def names_with_scans(names: list[str], scans: Callable[[str], Path], split: str = "") -> Iterator[str]:
     """Yield the names "seq/NNNNNN" whose scans NNNNNN.bin are in the folder `scans(seq)`, listed once.
 

@@ -28,7 +28,7 @@ from lidar2pano.data.frames import (
     listed_names,
     listed_splits,
     names_with_scans,
-    stems,
+    scan_names,
 )
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.poses import read_poses
@@ -211,13 +211,7 @@ def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
     elif split in ("train", "val"):
         names = list(names_with_scans(_labelled(root, split), scans))
     elif split in ("all", *sequences):
-        names = [
-            f"{sequence}/{stem}"
-            for sequence in sequences
-            if split in ("all", sequence)
-            for stem in stems(_scans(root, sequence), ".bin")
-            if stem.isdecimal()
-        ]
+        names = [*filter(_is_frame_name, scan_names(sequences if split == "all" else [split], scans))]
     else:
         raise InputError(f"{root}: no split {split!r}" + closest(split, ("train", "val", "all", *sequences)))
     if not names:

@@ -17,7 +17,7 @@ import numpy as np
 
 from lidar2pano.bounded_files import read_input
 from lidar2pano.data.camera_files import camera_matrix, read_motion
-from lidar2pano.data.frames import Frame, FrameList, stems
+from lidar2pano.data.frames import Frame, FrameList, scan_names
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, moved, read_camera
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
@@ -142,15 +142,10 @@ def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     if split not in ("all", *sequences):
         raise InputError(f"{root}: has no split {split!r}" + closest(split, ("all", *sequences)))
     open_frame = partial(PandasetFrame, root, view)
-    entries = [
-        (f"{sequence}/{stem}", open_frame)
-        for sequence in sequences
-        if split in ("all", sequence)
-        for stem in stems(folder / sequence / "velodyne", ".bin")
-    ]
-    if not entries:
+    names = scan_names(sequences if split == "all" else [split], lambda sequence: folder / sequence / "velodyne")
+    if not names:
         raise InputError(f"{root}: split {split!r} has no scan (sequences/*/velodyne/*.bin); complete the data")
-    return FrameList(entries)
+    return FrameList((name, open_frame) for name in names)
 
 
 def class_table(path: Path) -> np.ndarray:

@@ -21,7 +21,7 @@ from lidar2pano.data.frames import (
     listed_names,
     names_with_scans,
     read_train_ids,
-    stems,
+    scan_names,
 )
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError, closest
@@ -199,14 +199,14 @@ def frames(root: Path, split: str) -> FrameList[SemanticKittiFrame]:
     Raises InputError if the split, or a scan listed in it, is missing; a sequence's folder is listed once.
     """
     folder, listing = root / "sequences", root / "splits.json"
+
+    def scans(sequence: str) -> Path:
+        return folder / sequence / "velodyne"
+
     if listing.is_file():
-        names = list(names_with_scans(listed_names(listing, split), lambda name: folder / name / "velodyne", split))
+        names = list(names_with_scans(listed_names(listing, split), scans, split))
     else:
-        names = [
-            f"{sequence}/{stem}"
-            for sequence in sequences_of(folder, split)
-            for stem in stems(folder / sequence / "velodyne", ".bin")
-        ]
+        names = scan_names(sequences_of(folder, split), scans)
     if not names:
         raise InputError(f"{root}: split {split!r} has no scan")
     open_one = partial(open_frame, folder)

@@ -7,6 +7,7 @@ import re
 import struct
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -37,29 +38,22 @@ def decode(data: bytes, path: Path) -> PointCloud:
     Raises InputError if the file is damaged, or pye57 is not installed.
     """
     _check_xml(io.BytesIO(data), path)
-    pye57 = _library(path)
-    try:
-        with tempfile.NamedTemporaryFile(suffix=".e57") as copy:  # it reads files by name alone
-            copy.write(data)
-            copy.flush()
-            file = pye57.E57(copy.name)
-            scans, points = file.scan_count, file.get_header(0).point_count if file.scan_count else 0
-            if not 0 < points <= MOST_POINTS:
-                raise sweep_error(path, points)
-            columns = _columns(file.read_scan_raw(0))
-            file.close()
-    except InputError:
-        raise
-    except Exception as error:  # of libE57, depending on the damage
-        raise _damage(path, error) from None
+    with _library(path) as pye57, tempfile.NamedTemporaryFile(suffix=".e57") as copy:  # it reads files by name alone
+        copy.write(data)
+        copy.flush()
+        file = pye57.E57(copy.name)
+        scans, points = file.scan_count, file.get_header(0).point_count if file.scan_count else 0
+        if not 0 < points <= MOST_POINTS:
+            raise sweep_error(path, points)
+        columns = _columns(file.read_scan_raw(0))
+        file.close()
     doubts = [f"it holds {scans} scans, of which the first is read"] if scans > 1 else []
     return cloud_of_columns(columns, format="E57", name=path, doubts=doubts)
 
 
 def blocks_of(path: Path) -> Iterator[dict[str, np.ndarray]]:
     """Yield the fields of BLOCK_POINTS points at a time of all scans, in the frame of the file; errors as `decode`."""
-    pye57 = _library(path)
-    try:
+    with _library(path) as pye57:
         with open_regular(path) as content:
             _check_xml(content, path)
             file = pye57.E57(name_of_open(content))
@@ -77,25 +71,24 @@ def blocks_of(path: Path) -> Iterator[dict[str, np.ndarray]]:
                 yield columns
             reader.close()
         file.close()
-    except InputError:
-        raise
-    except Exception as error:  # of libE57, depending on the damage
-        raise _damage(path, error) from None
 
 
-def _library(path: Path) -> Any:  # noqa: ANN401
+@contextmanager
+def _library(path: Path) -> Iterator[Any]:
+    """Give pye57; InputError if it is not installed, and in place of its errors inside."""
     try:
         import pye57  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise InputError(
             f"{path}: is an E57, which needs pye57: pip install 'lidar2pano[formats]', or {EXPORT}"
         ) from None
-    return pye57
-
-
-def _damage(path: Path, error: Exception) -> InputError:
-    reason = str(error).partition("(")[0].strip() or type(error).__name__  # without places in its source
-    return InputError(f"{path}: is an E57 that pye57 does not read ({reason}); {EXPORT}")
+    try:
+        yield pye57
+    except InputError:
+        raise
+    except Exception as error:  # of libE57, depending on the damage
+        reason = str(error).partition("(")[0].strip() or type(error).__name__  # without places in its source
+        raise InputError(f"{path}: is an E57 that pye57 does not read ({reason}); {EXPORT}") from None
 
 
 def _check_xml(file: BinaryIO, path: Path) -> None:
