@@ -16,19 +16,7 @@ from typing import IO, Any
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.field_names import (
-    INTENSITY,
-    INTENSITY_WORDS,
-    RING,
-    RING_WORDS,
-    TIME,
-    TIME_WORDS,
-    are_numbered,
-    find_named,
-    has_axes,
-    meanings,
-    spherical,
-)
+from lidar2pano.formats.field_names import FIELDS, are_numbered, find_named, has_axes, meanings, spherical
 from lidar2pano.formats.file_contents import MOST_BYTES
 from lidar2pano.formats.foreign_files import archive_kind
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
@@ -237,7 +225,7 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     table = tables[chosen]
     columns = dict(zip(column_names(table), table.T, strict=True))
     further = {key: value for key, value in flat.items() if key != chosen and len(value) == len(table)}
-    for names, words in ((INTENSITY, INTENSITY_WORDS), (RING, RING_WORDS), (TIME, TIME_WORDS)):
+    for names, words in FIELDS[:3]:
         for key in find_named(further, names, words):
             columns = {name: column for name, column in columns.items() if name != key.lower()} | {key: further[key]}
     return columns

@@ -14,9 +14,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.field_names import (
-    INTENSITY_WORDS,
-    RING_WORDS,
-    TIME_WORDS,
+    FIELDS,
     Column,
     are_numbered,
     column,
@@ -282,7 +280,7 @@ def _text(line: bytes) -> str:
             texts.append(line.decode(encoding).strip())
         except UnicodeDecodeError:
             continue
-        if encoding == "utf-8" or find_named(_cells(texts[-1]), (), (*INTENSITY_WORDS, *TIME_WORDS, *RING_WORDS)):
+        if encoding == "utf-8" or any(find_named(_cells(texts[-1]), (), words) for _, words in FIELDS[:3]):
             return texts[-1]
     return texts[-1] if texts else line.decode("latin-1").strip()
 

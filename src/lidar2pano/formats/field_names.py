@@ -43,6 +43,12 @@ INTENSITY_WORDS, RING_WORDS, TIME_WORDS = (
     ("time",),
 )
 NEAR_INFRARED_WORDS = ("ambient", "infrared")
+FIELDS = (
+    (INTENSITY, INTENSITY_WORDS),
+    (RING, RING_WORDS),
+    (TIME, TIME_WORDS),
+    (NEAR_INFRARED, NEAR_INFRARED_WORDS),
+)
 # Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
 PLACE = r"(?:points?|pos(?:ition)?|coordinates?|coords?|location|cartesian|scalar|xyz|m)"
 AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")

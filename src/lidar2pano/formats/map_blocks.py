@@ -12,9 +12,9 @@ import numpy as np
 
 from lidar2pano.bounded_files import open_regular
 from lidar2pano.formats import delimited_text, e57, las, pcd, ply
-from lidar2pano.formats.field_names import find_named
+from lidar2pano.formats.field_names import FIELDS, find_named
 from lidar2pano.formats.file_contents import is_packed
-from lidar2pano.formats.point_cloud import BLOCK_POINTS, FIELDS, PointCloud, RowLayout, cloud_of_columns
+from lidar2pano.formats.point_cloud import BLOCK_POINTS, PointCloud, RowLayout, cloud_of_columns
 from lidar2pano.formats.readers import open_path
 
 HEAD_BYTES = 1 << 16  # the longest header of a PLY or PCD

@@ -12,32 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.field_names import (
-    INTENSITY,
-    INTENSITY_WORDS,
-    NEAR_INFRARED,
-    NEAR_INFRARED_WORDS,
-    RING,
-    RING_WORDS,
-    TIME,
-    TIME_WORDS,
-    are_poses,
-    find_named,
-    meanings,
-    plain_name,
-    second_pairs,
-    spherical,
-)
+from lidar2pano.formats.field_names import FIELDS, are_poses, find_named, meanings, plain_name, second_pairs, spherical
 from lidar2pano.formats.file_contents import stem_of
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
 BLOCK_POINTS = 1 << 16  # read at a time of files of any length
-FIELDS = (
-    (INTENSITY, INTENSITY_WORDS),
-    (RING, RING_WORDS),
-    (TIME, TIME_WORDS),
-    (NEAR_INFRARED, NEAR_INFRARED_WORDS),
-)
 POLAR_DOUBT = (  # nothing tells the direction of an azimuth
     "its places are of ranges and angles, whose azimuth is taken as counter-clockwise from ahead; if it is clockwise,"
     " as in sensors' own packets, all is mirrored: write x, y and z"
