@@ -11,7 +11,7 @@ Formats: the data set's documentation, and kitti360scripts/{helpers/project.py, 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -57,18 +57,6 @@ LABELS = TRAIN_IDS.copy()
 LABELS[34:] = IGNORE
 for _beyond, _name in {34: "building", 35: "fence", 37: "pole"}.items():  # garage, gate, smallpole
     LABELS[_beyond] = CITYSCAPES.id_of(_name)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Kitti360Calibration:
-    """The files of ROOT/calibration.
-
-    camera        the left perspective camera, rectified.
-    T_ego_lidar   (4, 4) float64: LiDAR -> the vehicle's frame, whose poses poses.txt has.
-    """
-
-    camera: Calibration
-    T_ego_lidar: np.ndarray
 
 
 class Kitti360Frame(SurroundFrame):
@@ -142,7 +130,7 @@ class Kitti360Frame(SurroundFrame):
         files = [path for path in (self.image_file, self.labels_file) if path.is_file()]
         if not files:
             return None
-        camera = calibration(self.root).camera
+        camera, _ = calibration(self.root)
         for path in files:
             _check_size(path, camera.size, FILES[0])
         return camera
@@ -177,7 +165,7 @@ class Kitti360Frame(SurroundFrame):
         """See Frame; None if poses.txt has none."""
         path = self._poses_file
         T_world_ego = _poses(path).get(int(self.stem)) if path.is_file() else None
-        return None if T_world_ego is None else T_world_ego @ calibration(self.root).T_ego_lidar
+        return None if T_world_ego is None else T_world_ego @ calibration(self.root)[1]
 
     def missing(self, part: str) -> str:
         """See Frame."""
@@ -238,19 +226,20 @@ def _lens_files(root: Path) -> list[Path]:
 
 
 @cached_by_files(_calibration_files)
-def calibration(root: Path) -> Kitti360Calibration:
-    """Read the files of ROOT/calibration; InputError if one is missing or damaged."""
+def calibration(root: Path) -> tuple[Calibration, np.ndarray]:
+    """Return the left perspective camera, rectified, and (4, 4) float64 LiDAR -> the frame of poses.txt, the vehicle's.
+
+    Raises InputError if a file of ROOT/calibration is missing or damaged.
+    """
     perspective, cam_to_velo, cam_to_pose = _calibration_files(root)
     T_camera_lidar = np.linalg.inv(read_rigid(cam_to_velo))
-    return Kitti360Calibration(
-        camera=read_calib(perspective, None, camera=0), T_ego_lidar=read_rigid(cam_to_pose, CAMERA) @ T_camera_lidar
-    )
+    return read_calib(perspective, None, camera=0), read_rigid(cam_to_pose, CAMERA) @ T_camera_lidar
 
 
 @cached_by_files(lambda root: [*_calibration_files(root), *_lens_files(root)])
 def fisheye_calibrations(root: Path) -> Mapping[str, LensCalibration]:
     """Read calibration/image_*.yaml: the fisheye cameras by name; InputError if a file is missing or damaged."""
-    T_ego_lidar, mounts = calibration(root).T_ego_lidar, root / "calibration" / FILES[2]
+    (_, T_ego_lidar), mounts = calibration(root), root / "calibration" / FILES[2]
     lenses = {}
     for name, path in zip(FISHEYES, _lens_files(root), strict=True):
         lenses[name] = _lens(path, np.linalg.inv(read_rigid(mounts, name)) @ T_ego_lidar)
