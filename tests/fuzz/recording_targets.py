@@ -19,7 +19,7 @@ from lidar2pano.cli.inspect import described
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.point_messages import DEFINITIONS
-from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
+from lidar2pano.recordings.recorded_scans import describe, frames, recorded_motion
 from lidar2pano.scan import Scan
 
 FORMATS = ("bag", "bag-bz2", "bag-lz4", "db3", "mcap", "mcap-lz4", "mcap-raw", "mcap-plain", "mcap-ros1")
@@ -93,12 +93,10 @@ def _capture() -> bytes:
 def _all_of(path: Path, data: bytes) -> None:
     """Describe a recording, read its scans as `translate` does, and its poses."""
     path.write_bytes(data)
-    reader = recording_reader(path)
-    if reader is None:
+    if describe(path) is None:
         return
-    reader.describe(path)
     for options in OPTIONS:
-        for frame in itertools.islice(reader.frames(path, options), MOST_SCANS):
+        for frame in itertools.islice(frames(path, options), MOST_SCANS):
             described(*interpret(frame.cloud(), Overrides()))
     motion = recorded_motion(path, OPTIONS[0], "velodyne")
     assert motion is None or motion[1]

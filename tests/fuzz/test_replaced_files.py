@@ -22,7 +22,7 @@ from recording_targets import seeds
 import miniature_recordings as recordings
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.recorded_scans import read, recording_reader
+from lidar2pano.recordings.recorded_scans import describe, frames, read
 from lidar2pano.scan import Scan
 from sample_files import every_format, street
 
@@ -94,12 +94,10 @@ def changed(path: Path, opening: int, change: Change) -> Iterator[Callable[[], b
 def read_whole(path: Path, between: Callable[[], object] = lambda: None) -> str:
     """Look at a recording and read its scans; the line of its refusal, if any. `between` is called after the first."""
     try:
-        reader = recording_reader(path)
-        if reader is None:
+        if describe(path) is None:
             read(path)
             return ""
-        reader.describe(path)
-        for frame in reader.frames(path, ReadOptions()):
+        for frame in frames(path, ReadOptions()):
             frame.cloud()
             between()
     except InputError as error:

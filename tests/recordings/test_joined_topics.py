@@ -9,8 +9,8 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordi
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.playback import playback
-from lidar2pano.recordings.recorded_scans import recording_reader
+from lidar2pano.recordings.playback import Playback
+from lidar2pano.recordings.recorded_scans import frames
 from miniature import street
 from miniature_recordings import START_NS, STEP_NS, points, transform, write
 from poses import fields_of, pose_of
@@ -40,9 +40,7 @@ def drive(count: int = 4):
 
 
 def clouds(path, **options):
-    reader = recording_reader(path)
-    assert reader is not None
-    return list(reader.clouds(path, ReadOptions(topic="all", **options)))
+    return [frame.cloud() for frame in frames(path, ReadOptions(topic="all", **options))]
 
 
 @pytest.mark.parametrize("format", ["bag", "db3", "mcap", "mcap-plain"])
@@ -59,7 +57,7 @@ def test_clouds_are_joined_in_the_topmost_sensors_frame(tmp_path, format):
         assert cloud.ring is not None and cloud.ring[:300].max() == 15 and cloud.ring[300:].max() == 19
         assert cloud.time_s is not None and np.allclose(cloud.time_s, np.repeat([0, 0.03], [300, 50]), atol=1e-6)
     assert [round(cloud.stamp_s - 1.7e9, 6) for cloud in clouds(path, start_s=0.05, every=2)] == [0.1, 0.3]
-    opened = playback(path, "all")
+    opened = Playback(path, "all")
     assert list(opened.numbers(ReadOptions())) == [0, 1, 2, 3] and len(opened.frame(2).cloud()) == 350
     opened.close()
 

@@ -15,7 +15,7 @@ import pytest
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.recorded_scans import describe, recording_reader
+from lidar2pano.recordings.recorded_scans import describe, frames
 
 HERE = Path(__file__).parent
 DUAL, TWO = HERE / "dual_returns.osf", HERE / "two_sensors.osf"
@@ -35,9 +35,7 @@ def range_mm(turn: int, sensor: int = 0) -> np.ndarray:
 
 
 def clouds(path: Path, topic: str = "") -> list:
-    reader = recording_reader(path)
-    assert reader is not None and reader.name == "OSF"
-    return list(reader.clouds(path, ReadOptions(topic=topic)))
+    return [frame.cloud() for frame in frames(path, ReadOptions(topic=topic))]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.recorded_scans import recording_reader
+from lidar2pano.recordings.recorded_scans import frames
 
 BEAMS, COLUMNS = 4, 64
 ALTITUDES, AZIMUTHS = [15.0, 5.0, -5.0, -15.0], [3.0, -1.0, 3.0, -1.0]
@@ -96,34 +96,32 @@ def packet(profile: str, turn: int, first: int) -> bytes:
 def ethernet(payload: bytes, number: int, most: int, source: int) -> list[bytes]:
     """An UDP datagram as Ethernet frames of IPv4, in fragments of at most `most` bytes, the last one first."""
     body = struct.pack(">HHHH", 7502, 7502, len(payload) + 8, 0) + payload
-    frames = []
+    sent = []
     for start in range(0, len(body), most):
         part = body[start : start + most]
         flags = start // 8 | (0x2000 if start + most < len(body) else 0)
         head = struct.pack(
             ">BBHHHBBH4s4s", 0x45, 0, 20 + len(part), number, flags, 64, 17, 0, bytes([10, 0, 0, source]), bytes(4)
         )
-        frames.append(bytes(14) + head + part)
-    return frames[::-1]
+        sent.append(bytes(14) + head + part)
+    return sent[::-1]
 
 
 def capture(path: Path, profile: str, turns: int = 3, most: int = 65000, sources=(5,), first: int = 0) -> Path:
     payloads = [packet(profile, turn, column) for turn in range(turns) for column in range(0, COLUMNS, 16)][first:]
-    frames = [
+    sent = [
         frame
         for number, payload in enumerate(payloads)
         for source in sources
         for frame in [*ethernet(payload, number, most, source), *ethernet(bytes(48), 999, most, source)]
     ]
-    records = b"".join(struct.pack("<IIII", 1, n, len(frame), len(frame)) + frame for n, frame in enumerate(frames))
+    records = b"".join(struct.pack("<IIII", 1, n, len(frame), len(frame)) + frame for n, frame in enumerate(sent))
     path.write_bytes(b"\xd4\xc3\xb2\xa1" + bytes(16) + struct.pack("<I", 1) + records)
     return path
 
 
 def clouds(path: Path, **options) -> list[PointCloud]:
-    reader = recording_reader(path)
-    assert reader is not None
-    return list(reader.clouds(path, ReadOptions(**options)))
+    return [frame.cloud() for frame in frames(path, ReadOptions(**options))]
 
 
 def place(column: int, beam: int, millimetres: int) -> list[float]:

@@ -14,7 +14,7 @@ pytest.importorskip("velodyne_decoder", reason="packet captures are read by the 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.packet_captures import MOST_CAPTURED
-from lidar2pano.recordings.recorded_scans import describe, recording_reader
+from lidar2pano.recordings.recorded_scans import describe, frames, recording_reader
 
 START_S, PACKET_S = 1_700_000_000.0, 1.327e-3  # of a VLP-16: 24 firings of 55.296 us
 STEP_DEG = 0.4
@@ -41,11 +41,11 @@ def frame(data: bytes, last: int = 201, port: int = 2368) -> bytes:
     return bytes(12) + b"\x08\x00" + ip
 
 
-def capture(path: Path, frames, order: str = "<", nano: bool = False) -> Path:
+def capture(path: Path, packets, order: str = "<", nano: bool = False) -> Path:
     """A pcap of (stamp_s, frame)."""
     magic = 0xA1B23C4D if nano else 0xA1B2C3D4
     data = struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
-    for stamp_s, one in frames:
+    for stamp_s, one in packets:
         fraction = round(stamp_s % 1 * (1e9 if nano else 1e6))
         data += struct.pack(order + "IIII", int(stamp_s), fraction, len(one), len(one)) + one
     path.write_bytes(data)
@@ -59,7 +59,7 @@ def turning(turns: float, last: int = 201):
 
 
 def clouds(path: Path, **options):
-    return list(recording_reader(path).clouds(path, ReadOptions(**options)))
+    return [frame.cloud() for frame in frames(path, ReadOptions(**options))]
 
 
 def complaint(path: Path, **options) -> str:
@@ -123,7 +123,7 @@ def test_scans_of_the_real_capture():
 
 def test_turns_are_chosen(tmp_path):
     path = capture(tmp_path / "a.pcap", turning(6.5))
-    numbers = [frame.number for frame in recording_reader(path).frames(path, ReadOptions(start_s=0.15, every=2))]
+    numbers = [frame.number for frame in frames(path, ReadOptions(start_s=0.15, every=2))]
     assert numbers == [2, 4, 6]
     assert len(clouds(path, end_s=0.15)) == 2
     assert "has no scan between --from and --to" in complaint(path, start_s=60.0)
@@ -150,7 +150,7 @@ def test_every_truncation_is_found_or_ends_between_packets(tmp_path):
             assert length < 4
         elif length not in ends:
             with pytest.raises(InputError, match=r"is damaged or cut short"):
-                next(reader.frames(path, ReadOptions()))
+                next(frames(path, ReadOptions()))
 
 
 def test_a_packet_of_too_many_bytes(tmp_path):

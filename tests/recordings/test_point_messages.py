@@ -22,7 +22,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS
-from lidar2pano.recordings.recorded_scans import recording_reader
+from lidar2pano.recordings.recorded_scans import frames
 from miniature import street
 from miniature_recordings import START_NS, points, write
 
@@ -35,9 +35,7 @@ FIELDS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 13, 3), ("beyond"
 
 
 def clouds(path: Path, **options) -> list[PointCloud]:
-    reader = recording_reader(path)
-    assert reader is not None
-    return list(reader.clouds(path, ReadOptions(**options)))
+    return [frame.cloud() for frame in frames(path, ReadOptions(**options))]
 
 
 def mcap(path: Path, encoding: str, schema: str, data: bytes, kind: str = "", definition: bytes = b"") -> Path:

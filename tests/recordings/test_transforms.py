@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
+from lidar2pano.recordings.recorded_scans import open_recording, recorded_motion
 from lidar2pano.recordings.transforms import fixed_poses
 from miniature import street
 from miniature_recordings import START_NS, STEP_NS, odometry, points, transform, write
@@ -108,9 +108,7 @@ def mounts(folder, links, frames):
     """The fixed poses of frames by links (parent, child, pose)."""
     sent = [transform(START_NS, parent, child, fields_of(T), "/tf_static") for parent, child, T in links]
     path = write(folder, "bag", [*SCAN, *sent])
-    reader = recording_reader(path)
-    assert reader is not None and reader.open is not None
-    recording = reader.open(path)
+    recording = open_recording(path)
     found = fixed_poses(recording, frames)
     recording.close()
     return found

@@ -64,14 +64,14 @@ class Request:
             frame, first, motion = self.recorded.result()
         except InputError as error:
             return Reading(source=source, error=error)
-        note(frame.sha256())
+        note(frame.sha256)
         reading = read_scan(replace(source, cloud=partial(self._frame_cloud, frame)), self.options, first)
         return move_scan(reading, motion, poses=False) if motion else reading
 
     def sha256(self) -> str:
         """Return the SHA-256 alone; InputError for a damaged recording."""
         if self.recorded is not None:
-            return self.recorded.result().frame.sha256()
+            return self.recorded.result().frame.sha256
         with self.store.local(self.entry.key.input) as path:
             return sha256_of(path)
 

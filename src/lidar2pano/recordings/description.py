@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS, POINTS
 
 MOST_TOPICS = 10_000  # of a recording; vehicles have some hundreds
@@ -95,65 +96,99 @@ class Description:
         topics = [asdict(topic) for topic in self.topics]
         return {"format": self.format, "start_s": self.start_s, "duration_s": self.duration_s, "topics": topics}
 
-    @property
-    def messages(self) -> int:
-        """Number of messages of all topics."""
-        return sum(topic.count for topic in self.topics)
-
 
 class RawMessage(NamedTuple):
     """A message as it is recorded: its topic, the time of recording (nanoseconds since the epoch), and its bytes.
 
-    parts  the messages of several topics that it joins.
+    content  of a message of no single topic of ROS: what its recording decodes.
     """
 
     topic: Topic
     stamp_ns: int
     data: bytes
-    parts: tuple[RawMessage, ...] = ()
+    content: Any = None
 
 
-class Recording(Protocol):
-    """An open recording of ROS messages.
+class Recording:
+    """An open recording of messages, or of the scans of sensors.
 
+    path     for messages and names;  file: where it is read, of a packed one a copy;  files: closed with it.
     indexed  whether messages before a time are skipped without being read.
     """
 
-    path: Path
+    indexed = False
     description: Description
-    indexed: bool
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.file, self.files = path, path, ExitStack()
+
+    def choose(self, topic: str) -> Topic:
+        """Return the topic of the scans by its name, "" for the only one; InputError as `choose_topic`."""
+        return choose_topic(self.path, self.description.topics, topic)
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Return messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
-        ...
+        raise NotImplementedError
+
+    def origin_ns(self, topic: Topic) -> int:  # noqa: ARG002 but of one sensor's scans
+        """Return the time from which --from and --to count, nanoseconds since the epoch."""
+        return self.description.first_ns
 
     def stamps_ns(self, topic: Topic) -> np.ndarray:
         """Return the times of recording of a topic's messages, int64 in order; by an index alone if there is one."""
-        ...
+        return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
         """Return the message as an object with ROS's attributes; raises the library's errors."""
-        ...
+        return message.content
+
+    def cloud(self, message: RawMessage, title: str) -> PointCloud:
+        """Return the points of a message; InputError with the title for damage."""
+        with damage(Path(title), "record it again"):
+            return CLOUDS[message.topic.type](self.decode(message), title)
 
     def close(self) -> None:
         """Close the files."""
-        ...
+        self.files.close()
 
 
-def choose_topic(path: Path, topics: Sequence[Topic], name: str, types: Container[str] = CLOUDS) -> Topic:
-    """Return the topic of the scans, messages of one of `types`: the one called `name`, or the only one.
+class SensorRecording(Recording):
+    """A recording of sensors' scans, read from its beginning; --from and --to count from the first scan."""
+
+    def scans(self, topic: Topic) -> Iterator[tuple[int, bytes, Callable[[str], PointCloud]]]:
+        """Yield (nanoseconds since the epoch, content, title for messages -> points) of a sensor's scans."""
+        raise NotImplementedError
+
+    def messages(
+        self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        """See Recording."""
+        for topic in topics:
+            for stamp_ns, content, decode in self.scans(topic):
+                if end_ns is not None and stamp_ns >= end_ns:
+                    break
+                if start_ns is None or stamp_ns >= start_ns:
+                    yield RawMessage(topic, stamp_ns, content, decode)
+
+    def origin_ns(self, topic: Topic) -> int:
+        """See Recording."""
+        return next((message.stamp_ns for message in self.messages((topic,))), 0)
+
+
+def choose_topic(path: Path, topics: Sequence[Topic], name: str) -> Topic:
+    """Return the topic of the scans, messages of one of CLOUDS: the one called `name`, or the only one.
 
     Raises InputError with the topics if none or several are possible, or it holds no message.
     """
     names = [topic.name for topic in topics]
-    clouds = [topic for topic in topics if topic.type in types]
+    clouds = [topic for topic in topics if topic.type in CLOUDS]
     if name:
         named = [topic for topic in topics if topic.name in {name, f"/{name}"}]
         if not named:
             raise InputError(f"{path}: has no topic {name!r}{closest(name, names[:MOST_NAMED])}")
-        candidates = [topic for topic in named if topic.type in types] or named[:1]
+        candidates = [topic for topic in named if topic.type in CLOUDS] or named[:1]
     else:
         candidates = [topic for topic in clouds if topic.count] or clouds
         usual = [topic for topic in candidates if topic.type == POINTS]
@@ -163,45 +198,36 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str, types: Containe
     if len(candidates) > 1:
         raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic, or name all")
     (topic,) = candidates
-    if topic.type in PACKETS:
-        raise InputError(_packets(path, topic))
-    if topic.type in COMPRESSED:
-        raise InputError(_compressed(path, topic))
-    if topic.type not in types:
-        raise InputError(f"{path}: topic {topic.name} holds {topic.type}, not points; {_those(clouds)}")
+    if topic.type in PACKETS or topic.type in COMPRESSED:
+        raise InputError(_undecoded(path, topic))
+    if topic.type not in CLOUDS:
+        those = f"--topic can be {_listed(clouds)}" if clouds else "it has no topic of points"
+        raise InputError(f"{path}: topic {topic.name} holds {topic.type}, not points; {those}")
     if not topic.count:
         raise InputError(f"{path}: topic {topic.name} holds no message; record it again")
     return topic
 
 
 def _no_points(path: Path, topics: Sequence[Topic]) -> str:
-    packets = [topic for topic in topics if topic.type in PACKETS and topic.count]
-    if packets:
-        return _packets(path, max(packets, key=lambda topic: topic.count))
-    if compressed := [topic for topic in topics if topic.type in COMPRESSED and topic.count]:
-        return _compressed(path, compressed[0])
+    for types in (PACKETS, COMPRESSED):
+        if undecoded := [topic for topic in topics if topic.type in types and topic.count]:
+            return _undecoded(path, max(undecoded, key=lambda topic: topic.count))
     if not topics:
         return f"{path}: holds no topic at all; record it again"
     held = _listed([replace(topic, name=f"{topic.name} of {topic.type}") for topic in topics])
     return f"{path}: holds no sensor_msgs/PointCloud2 topic (it has {held}); name a recording of points"
 
 
-def _packets(path: Path, topic: Topic) -> str:
-    return (
-        f"{path}: {topic.name} holds packets, not points ({topic.type});"
-        f" decode with {PACKETS[topic.type]} and record the PointCloud2 topic"
-    )
-
-
-def _compressed(path: Path, topic: Topic) -> str:
+def _undecoded(path: Path, topic: Topic) -> str:
+    if topic.type in PACKETS:
+        return (
+            f"{path}: {topic.name} holds packets, not points ({topic.type});"
+            f" decode with {PACKETS[topic.type]} and record the PointCloud2 topic"
+        )
     return (
         f"{path}: {topic.name} holds {topic.type}, which is not read; make a PointCloud2 of it with"
         f" {COMPRESSED[topic.type]}, and record that"
     )
-
-
-def _those(clouds: Sequence[Topic]) -> str:
-    return f"--topic can be {_listed(clouds)}" if clouds else "it has no topic of points"
 
 
 def _listed(topics: Sequence[Topic]) -> str:

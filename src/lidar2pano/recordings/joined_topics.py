@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.recordings.description import Description, RawMessage, Recording, Topic, damage
-from lidar2pano.recordings.point_messages import CLOUDS, JOINED
+from lidar2pano.recordings.description import RawMessage, Recording, Topic
+from lidar2pano.recordings.point_messages import CLOUDS, JOINED, OUSTER, VELODYNE
 from lidar2pano.recordings.transforms import fixed_poses
 
 ALL = "all"  # --topic
@@ -26,7 +25,7 @@ def join_topics(recording: Recording, topic: str) -> Recording:
     The recording is closed where this fails.
     """
     topics = recording.description.topics
-    clouds = [each for each in topics if each.type in CLOUDS and each.count]
+    clouds = [each for each in topics if each.type in CLOUDS and each.type not in (VELODYNE, OUSTER) and each.count]
     if topic != ALL or not clouds or any(each.name.strip("/") == ALL for each in topics):
         return recording
     try:
@@ -36,12 +35,13 @@ def join_topics(recording: Recording, topic: str) -> Recording:
         raise
 
 
-class JoinedRecording:
+class JoinedRecording(Recording):
     """A recording with one more topic, of clouds joined at the times of the topmost LiDAR's."""
 
     def __init__(self, recording: Recording, clouds: list[Topic]) -> None:
         """Find out how the sensors are mounted; InputError if tf_static does not tell."""
-        self.path, self.indexed, self._recording, self._clouds = recording.path, recording.indexed, recording, clouds
+        super().__init__(recording.path)
+        self.files, self.indexed, self._recording, self._clouds = recording.files, recording.indexed, recording, clouds
         frame_by_name = {topic.name: self._cloud(next(recording.messages((topic,)))).frame for topic in clouds}
         poses = fixed_poses(recording, set(frame_by_name.values()))
         if poses is None:
@@ -51,14 +51,12 @@ class JoinedRecording:
         T_reference_root = np.linalg.inv(poses[frame_by_name[self._reference.name]])
         self._mounts = {name: T_reference_root @ poses[frame] for name, frame in frame_by_name.items()}
         self._topic = Topic(name=ALL, type=JOINED, count=self._reference.count)
-        self.description: Description = replace(
-            recording.description, topics=(*recording.description.topics, self._topic)
-        )
+        self.description = replace(recording.description, topics=(*recording.description.topics, self._topic))
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Return messages as of Recording; a joined one has those of each sensor as its parts."""
+        """Return messages as of Recording; a joined one has those of each sensor as its content."""
         if self._topic not in topics:
             yield from self._recording.messages(topics, start_ns, end_ns)
             return
@@ -86,12 +84,7 @@ class JoinedRecording:
         """Return a message's object, of a joined one its PointCloud."""
         if message.topic != self._topic:
             return self._recording.decode(message)
-        reference, *further = (self._moved(part) for part in message.parts)
-        return _merged(reference, further)
-
-    def close(self) -> None:
-        """Close the files."""
-        self._recording.close()
+        return _merged([self._moved(part) for part in message.content])
 
     def _joined(self, reference: RawMessage, near: deque[RawMessage]) -> RawMessage:
         """Return a message with the nearest in time of each other topic."""
@@ -106,8 +99,7 @@ class JoinedRecording:
 
     def _cloud(self, message: RawMessage) -> PointCloud:
         title = f"{self.path}, {message.topic.name}"
-        with damage(Path(title), "record it again"):
-            cloud = CLOUDS[message.topic.type](self._recording.decode(message), title)
+        cloud = self._recording.cloud(message, title)
         return replace(cloud, stamp_s=cloud.stamp_s or message.stamp_ns * 1e-9)
 
     def _moved(self, message: RawMessage) -> PointCloud:
@@ -118,29 +110,16 @@ class JoinedRecording:
         return replace(cloud, xyz=xyz.astype(cloud.xyz.dtype))
 
 
-def _merged(reference: PointCloud, further: list[PointCloud]) -> PointCloud:
+def _merged(clouds: list[PointCloud]) -> PointCloud:
     """Return one cloud of several; times count from the stamp of the first, rings go on from sensor to sensor."""
-    clouds = [reference, *further]
-    stamp_s = reference.stamp_s or 0.0
-    times = [
-        (np.zeros(len(cloud)) if cloud.time_s is None else cloud.time_s) + ((cloud.stamp_s or 0.0) - stamp_s)
-        for cloud in clouds
-    ]
-    intensities, lights = (
-        [values for cloud in clouds if (values := getattr(cloud, name)) is not None]
-        for name in ("intensity", "near_infrared")
-    )
-    rings, first = [], 0
+    stamp_s, first, further = clouds[0].stamp_s or 0.0, 0, list[PointCloud]()
     for cloud in clouds:
-        if cloud.ring is not None:
-            rings.append(cloud.ring + first)
-            first += int(cloud.ring.max(initial=0)) + 1
-    return replace(
-        reference,
-        xyz=np.concatenate([cloud.xyz for cloud in clouds]),
-        intensity=np.concatenate(intensities) if len(intensities) == len(clouds) else None,
-        ring=np.concatenate(rings) if len(rings) == len(clouds) else None,
-        time_s=np.concatenate(times),
-        near_infrared=np.concatenate(lights) if len(lights) == len(clouds) else None,
-        format=f"{reference.format}, {len(clouds)} sensors",
-    )
+        time_s = (0.0 if cloud.time_s is None else cloud.time_s) + ((cloud.stamp_s or 0.0) - stamp_s)
+        ring = None if cloud.ring is None else cloud.ring + first
+        further.append(replace(cloud, time_s=np.broadcast_to(time_s, len(cloud)), ring=ring))
+        first += 0 if cloud.ring is None else int(cloud.ring.max(initial=0)) + 1
+    fields = {}
+    for name in ("xyz", "intensity", "ring", "time_s", "near_infrared"):
+        values = [getattr(cloud, name) for cloud in further]
+        fields[name] = None if any(part is None for part in values) else np.concatenate(values)
+    return replace(clouds[0], **fields, format=f"{clouds[0].format}, {len(clouds)} sensors")

@@ -7,9 +7,11 @@ import os
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from lidar2pano.recordings.description import (
     ROS1,
     Description,
     RawMessage,
+    Recording,
     Topic,
     damage,
     deserializer,
@@ -32,30 +35,28 @@ REPAIR = "try `mcap recover`, or record it again"
 ENCODINGS = (ROS1, CDR)
 
 
-class McapFile:
+class McapFile(Recording):
     """An MCAP file. One without an index is read from beginning to end, once more to count its messages."""
 
     def __init__(self, path: Path) -> None:
         """Open the file. Raises InputError if it is damaged or cut short, or the extra is missing."""
-        self.path = path
+        super().__init__(path)
         with require_extra("recordings", f"{path}:"):
             import mcap  # noqa: F401
 
             deserializer(CDR)
-        try:
-            self._file = io.BufferedReader(open_regular(path))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
-        self._size = os.fstat(self._file.fileno()).st_size
-        self._channels, self._schemas = dict[int, Any](), dict[int, Any]()
-        try:
+        with ExitStack() as stack:
+            try:
+                self._file = stack.enter_context(io.BufferedReader(open_regular(path)))
+            except OSError as error:
+                raise InputError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
+            self._size = os.fstat(self._file.fileno()).st_size
+            self._channels, self._schemas = dict[int, Any](), dict[int, Any]()
             with damage(path, REPAIR):
                 self._chunks = self._index()
                 counts, first_ns, last_ns = self._counted()
                 self._names = {number: self._name(channel) for number, channel in self._channels.items()}
-        except BaseException:
-            self._file.close()
-            raise
+            self.files = stack.pop_all()
         self.indexed = bool(self._chunks)
         totals = Counter[tuple[str, str]]()
         for number, name in self._names.items():
@@ -88,11 +89,10 @@ class McapFile:
         from mcap.data_stream import ReadDataStream
         from mcap.records import MessageIndex
 
-        if not all(chunk.message_index_offsets for chunk in self._chunks) or not self._chunks:
-            with damage(self.path, REPAIR):  # the format's numbers have no sign
-                return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
         stamps_ns: list[int] = []
         with damage(self.path, REPAIR):
+            if not all(chunk.message_index_offsets for chunk in self._chunks) or not self._chunks:
+                return super().stamps_ns(topic)  # the format's numbers have no sign
             for chunk in self._chunks:
                 for number, offset in chunk.message_index_offsets.items():
                     if self._names[number] == (topic.name, topic.type):
@@ -111,10 +111,6 @@ class McapFile:
             schema = self._schemas[channel.schema_id]
             return decode_protobuf(message.data, schema.name, schema.data)
         return deserializer(channel.message_encoding)(message.data, message.topic.type)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
     def _index(self) -> list[Any]:
         """Return the chunks by the file's own index, in order of time; [] if it has none."""
@@ -175,10 +171,12 @@ class McapFile:
 
     def _linear(self) -> Iterator[Any]:
         """Yield all message records in the order of the file; its channels and schemas are noted on the way."""
-        from mcap.records import Channel, Message, Schema
+        from mcap.records import Channel, Chunk, Message, Schema
+        from mcap.stream_reader import StreamReader
 
         self._file.seek(0)
-        for record in records(self._file, self._size):
+        stored = StreamReader(self._file, emit_chunks=True, record_size_limit=self._size).records
+        for record in chain.from_iterable(unpacked(part) if isinstance(part, Chunk) else (part,) for part in stored):
             if isinstance(record, Message):
                 yield record
             elif isinstance(record, Channel):
@@ -189,15 +187,6 @@ class McapFile:
 
 def _stamp_ns(message: Any) -> int:  # noqa: ANN401
     return message.log_time
-
-
-def records(file: IO[bytes], most_bytes: int) -> Iterator[Any]:
-    """Yield all records of an MCAP file, those of chunks included; no record may be longer than `most_bytes`."""
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader
-
-    for record in StreamReader(file, emit_chunks=True, record_size_limit=most_bytes).records:
-        yield from unpacked(record) if isinstance(record, Chunk) else (record,)
 
 
 def unpacked(chunk: Any) -> list[Any]:  # noqa: ANN401

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,14 +19,15 @@ from lidar2pano.errors import InputError, require_extra
 from lidar2pano.formats.image_files import MOST_PIXELS, decode_image
 from lidar2pano.formats.json_files import parse_json
 from lidar2pano.formats.point_cloud import PointCloud, sweep_error
-from lidar2pano.recordings.description import Description, Topic, choose_topic, damage
+from lidar2pano.recordings.description import Description, SensorRecording, Topic, damage
 from lidar2pano.recordings.ouster_packets import Optics, optics_of
+from lidar2pano.recordings.point_messages import OUSTER
 
 OSF = (b"OSF!", b"OSF$")  # at byte 4 of a FlatBuffers file, 8 if its size comes before; $: of its header
 CLOSED = 2  # status of a header whose file was written to its end
 MOST_CHUNK_BYTES = 1 << 28  # a chunk has two megabytes or one scan
 REPAIR = "write it again with `ouster-cli source FILE save COPY.osf`"
-SCANS, SENSORS, OUSTER = "ouster/v1/os_sensor/LidarScanStream", "ouster/v1/os_sensor/LidarSensor", "Ouster scans"
+SCANS, SENSORS = "ouster/v1/os_sensor/LidarScanStream", "ouster/v1/os_sensor/LidarSensor"
 ZPNG = b"\xf8\xfb"
 # Number of a field -> (return, name): LidarScan's CHAN_FIELD
 FIELDS = {
@@ -93,12 +94,12 @@ class Stream(NamedTuple):
     shifts: list[int]
 
 
-class OsfFile:
+class OsfFile(SensorRecording):
     """An OSF: each sensor is a topic, called by its serial number."""
 
     def __init__(self, path: Path) -> None:
         """Read what it says of sensors and times. Raises InputError if it is damaged or was never closed."""
-        self.path = path
+        super().__init__(path)
         with damage(path, REPAIR), open_regular(path) as file:
             head = _sized(file, 0)
             header = Table.root(head)
@@ -122,15 +123,14 @@ class OsfFile:
         for place in self._places.tolist():
             yield from Table.root(_sized(file, place)).tables(0)
 
-    def scans(self, name: str) -> Iterator[tuple[float, Any, bytes]]:
-        """Yield (seconds since the epoch, title -> its points, content) of a sensor's scans, in the file's order."""
-        topic = choose_topic(self.path, self.description.topics, name, (OUSTER,))
+    def scans(self, topic: Topic) -> Iterator[tuple[int, bytes, Callable[[str], PointCloud]]]:
+        """See SensorRecording: a sensor's scans, in the file's order."""
         key, stream = next((key, stream) for key, stream in self._streams.items() if stream.topic is topic)
-        with damage(self.path, REPAIR), open_regular(self.path) as file:
+        with damage(self.path, REPAIR), open_regular(self.file) as file:
             for message in self._messages(file):
                 if message.number(1, "<I") == key:
                     data = message.bytes(2)
-                    yield message.number(0, "<Q") * 1e-9, partial(_cloud, stream, data), data
+                    yield message.number(0, "<Q"), data, partial(_cloud, stream, data)
 
 
 def is_osf(head: bytes) -> bool:

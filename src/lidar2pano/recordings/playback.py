@@ -3,98 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
-from lidar2pano.recordings.description import RawMessage, Recording, choose_topic
+from lidar2pano.recordings.description import RawMessage
 from lidar2pano.recordings.joined_topics import join_topics
-from lidar2pano.recordings.recorded_scans import Frame, frames, none_within, recording_reader, ros_frame, span_ns
+from lidar2pano.recordings.recorded_scans import Frame, none_within, open_recording, span_ns
 from lidar2pano.recordings.transforms import recorded_motion
 
 NEAR = 3  # so many messages ahead are read rather than looked up
 BLOCK = 64  # scans whose poses are read together
 
 
-class Playback(Protocol):
+class Playback:
     """The scans of one topic of an open recording by their numbers; best read in ascending order.
 
     path  of the recording.
     """
 
-    path: Path
-
-    def numbers(self, options: ReadOptions) -> Sequence[int]:
-        """Return the numbers of the selected scans; InputError if there is none."""
-        ...
-
-    def frame(self, number: int) -> Frame:
-        """Return the scan of a number; InputError if it is damaged, or there is none."""
-        ...
-
-    def recorded_s(self, number: int) -> float:
-        """Return the time of recording of a scan, seconds since the epoch; of a damaged one too.
-
-        Raises InputError if it is damaged and there is no list of times.
-        """
-        ...
-
-    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
-        """Return the recorded motion of a coordinate frame near the time of a scan, and its source; None without one.
-
-        It depends on the number alone. Raises InputError at damage.
-        """
-        ...
-
-    def close(self) -> None:
-        """Close the files."""
-        ...
-
-
-def playback(path: Path, topic: str = "") -> Playback:
-    """Return a recording opened; InputError if it is damaged, is none, or holds no such topic of points."""
-    reader = recording_reader(path)
-    if reader is None or reader.open is None:
-        return FramePlayback(path, topic)
-    return MessagePlayback(join_topics(reader.open(path), topic), topic)
-
-
-class MessagePlayback:
-    """The scans of a recording of ROS messages."""
-
-    def __init__(self, recording: Recording, topic: str = "") -> None:
-        """Read when the scans were recorded; InputError if the recording is damaged or holds none."""
-        self.path, self._recording = recording.path, recording
+    def __init__(self, path: Path, topic: str = "") -> None:
+        """Open it, and read when the scans were recorded; InputError if it is damaged, none, or holds no such topic."""
+        self.path, self._recording = path, join_topics(open_recording(path), topic)
         try:
-            self._topic = choose_topic(recording.path, recording.description.topics, topic)
-            self._stamps_ns = recording.stamps_ns(self._topic)
+            self._topic = self._recording.choose(topic)
+            self._stamps_ns = self._recording.stamps_ns(self._topic)
         except BaseException:
-            recording.close()
+            self._recording.close()
             raise
         self._next: int = 0
         self._motion: tuple[tuple[int, str], tuple[SensorMotion, str] | None] | None = None  # with its key
         self._following: Iterator[RawMessage] | None = None  # from the message `_next` on; None before and after damage
 
     def numbers(self, options: ReadOptions) -> Sequence[int]:
-        """See Playback."""
-        about = self._recording.description
-        start_ns, end_ns = span_ns(about, options)
+        """Return the numbers of the selected scans; InputError if there is none."""
+        start_ns, end_ns = span_ns(self._recording.origin_ns(self._topic), options)
         selected = np.ones(len(self._stamps_ns), dtype=bool)
         if start_ns is not None:
             selected &= self._stamps_ns >= start_ns
         if end_ns is not None:
             selected &= self._stamps_ns < end_ns
         if not selected.any():
-            raise none_within(self.path, about.duration_s)
+            raise none_within(self.path, self._recording.description.duration_s)
         return np.flatnonzero(selected)[:: options.every].tolist()
 
     def frame(self, number: int) -> Frame:
-        """See Playback; messages before it are looked up in the index and not read if there is one."""
+        """Return the scan of a number; InputError if there is none, or nothing can be read from there on.
+
+        Messages before it are looked up in the index and not read if there is one.
+        """
         near = self._next + NEAR if self._recording.indexed else number
         following, self._following = self._following, None
         if following is None or not self._next <= number <= near:
@@ -102,15 +62,18 @@ class MessagePlayback:
         for place, message in enumerate(following, self._next):
             if place == number:
                 self._next, self._following = place + 1, following
-                return ros_frame(self._recording, number, message)
-        raise _missing(self.path, number)
+                return Frame.of(self._recording, number, message)
+        raise InputError(f"{self.path}: has no scan {number}; it was changed while it was read")
 
     def recorded_s(self, number: int) -> float:
-        """See Playback."""
+        """Return the time of recording of a scan, seconds since the epoch; of a damaged one too."""
         return int(self._stamps_ns[number]) * 1e-9
 
     def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
-        """See Playback: read for BLOCK scans together; for all at once if there is no index."""
+        """Return the recorded motion of a coordinate frame near the time of a scan, and its source; None without one.
+
+        It is read for BLOCK scans together; for all at once if there is no index. Raises InputError at damage.
+        """
         last = len(self._stamps_ns) - 1
         first = number - number % BLOCK if self._recording.indexed else 0
         last = min(first + BLOCK - 1, last) if self._recording.indexed else last
@@ -134,49 +97,3 @@ class MessagePlayback:
             start_ns = int(self._stamps_ns[number])
             self._next = int(np.count_nonzero(self._stamps_ns < start_ns))
         return self._recording.messages((self._topic,), start_ns)
-
-
-class FramePlayback:
-    """The scans of a recording without an index, such as a capture of packets: it is read from its beginning."""
-
-    def __init__(self, path: Path, topic: str = "") -> None:
-        """Open the recording; InputError if it is damaged or holds no such topic."""
-        self.path, self._options = path, ReadOptions(topic=topic)
-        self._next: int = 0
-        self._following = frames(path, self._options)
-        self._damage: InputError | None = None
-
-    def numbers(self, options: ReadOptions) -> Sequence[int]:
-        """See Playback; the recording is read once for it."""
-        return [frame.number for frame in frames(self.path, replace(options, topic=self._options.topic))]
-
-    def frame(self, number: int) -> Frame:
-        """See Playback; every scan before it is decoded."""
-        if number < self._next:
-            self._next, self._following = 0, frames(self.path, self._options)
-        elif self._damage:  # nothing behind it can be read
-            raise self._damage
-        try:
-            for frame in self._following:
-                self._next = frame.number + 1
-                if frame.number == number:
-                    return frame
-        except InputError as error:
-            self._damage = error
-            raise
-        raise _missing(self.path, number)
-
-    def recorded_s(self, number: int) -> float:
-        """See Playback."""
-        return self.frame(number).stamp_s
-
-    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
-        """None: packets hold no poses."""
-
-    def close(self) -> None:
-        """Close the file."""
-        self._following = iter(())
-
-
-def _missing(path: Path, number: int) -> InputError:
-    return InputError(f"{path}: has no scan {number}; it was changed while it was read")

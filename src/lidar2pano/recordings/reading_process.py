@@ -10,7 +10,8 @@ import math
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,12 +20,12 @@ import numpy as np
 from lidar2pano.child_process import Bound, ChildProcess
 from lidar2pano.errors import InputError
 from lidar2pano.formats.map_blocks import Block, NearBlocks
-from lidar2pano.formats.point_cloud import NoPointsError, PointCloud
+from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.geometry.motion import SensorMotion
-from lidar2pano.recordings import playback as unlimited
 from lidar2pano.recordings import recorded_scans
 from lidar2pano.recordings.description import Description
+from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.recorded_images import ImagePlayback
 from lidar2pano.recordings.recorded_scans import Frame
 
@@ -61,49 +62,12 @@ def _cloud(path: Path, most_points: float) -> PointCloud:
 
 def describe(path: Path) -> Description | None:
     """Return the contents of a recording; None for anything else."""
-    if recorded_scans.recording_reader(path) is None:
-        return None
     return _child().call(Bound.of(path), str(path), recorded_scans.describe, path)
 
 
 def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[SensorMotion, str] | None:
     """Return the motion of a coordinate frame in a recording, and the name of its origin; None without one."""
-    reader = recorded_scans.recording_reader(path)
-    if reader is None or reader.open is None:
-        return None
     return _child().call(Bound.of(path), str(path), recorded_scans.recorded_motion, path, options, frame)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecodedFrame:
-    """A scan of a recording, decoded by the child; `error` in place of the points of a damaged or empty one."""
-
-    number: int
-    stamp_s: float
-    digest: str
-    cloud: PointCloud | None
-    error: str = ""
-    empty: bool = False
-
-    @classmethod
-    def of(cls, frame: Frame) -> DecodedFrame:
-        """Decode a scan."""
-        cloud, error, empty = None, "", False
-        try:
-            cloud = frame.cloud()
-        except InputError as problem:
-            error, empty = str(problem), isinstance(problem, NoPointsError)
-        digest = frame.sha256()
-        return cls(number=frame.number, stamp_s=frame.stamp_s, digest=digest, cloud=cloud, error=error, empty=empty)
-
-    def frame(self, path: Path) -> Frame:
-        """Return it as a scan of the recording at `path`."""
-        return Frame(path=path, number=self.number, stamp_s=self.stamp_s, decode=self._decoded, digest=self.digest)
-
-    def _decoded(self, _: str) -> PointCloud:
-        if self.cloud is None:
-            raise InputError(self.error)
-        return self.cloud
 
 
 class _Open:
@@ -113,18 +77,13 @@ class _Open:
         self.path, self._child, self._bound = path, ChildProcess(keeps=True), Bound.of(path)
         self._number: int = self._child.call(self._bound, str(path), _kept, make, path, *arguments)
 
-    def call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
-        """Return the answer of a method; a DecodedFrame in place of a Frame."""
-        return self._child.call(self._bound, str(self.path), _call_kept, self._number, method, *arguments)
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
+        """Return the answer of a function of the object."""
+        return self._child.call(self._bound, str(self.path), _call_kept, self._number, function, *arguments)
 
     def __getattr__(self, method: str) -> Callable[..., Any]:
         """Return a method."""
-
-        def answer(*arguments: Any) -> Any:  # noqa: ANN401
-            value = self.call(method, *arguments)
-            return value.frame(self.path) if isinstance(value, DecodedFrame) else value
-
-        return answer
+        return lambda *arguments: self.call(methodcaller(method, *arguments))
 
     def close(self) -> None:
         self._child.close()
@@ -139,53 +98,23 @@ def _kept(make: Any, *arguments: Any) -> int:  # noqa: ANN401
     return number
 
 
-def _call_kept(number: int, method: str, *arguments: Any) -> Any:  # noqa: ANN401
+def _call_kept(number: int, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
     if number not in _held:
         raise InputError("the process that read the recording has ended; nothing behind this scan can be read")
-    value = getattr(_held[number], method)(*arguments)
-    return DecodedFrame.of(value) if isinstance(value, Frame) else value
-
-
-class FrameIterator:
-    """The scans of a recording one after the other, in the child."""
-
-    def __init__(self, path: Path, options: ReadOptions) -> None:
-        self._frames = recorded_scans.frames(path, options)
-
-    def following(self) -> Frame | None:
-        """Return the next scan; None at the end."""
-        return next(self._frames, None)
-
-    def close(self) -> None:
-        """Close the recording."""
-        if isinstance(self._frames, Generator):
-            self._frames.close()
+    return function(_held[number], *arguments)
 
 
 def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-    """Yield the scans of a recording in time, decoded already.
-
-    Scans without points before the first one with some are passed over, which is a doubt about that one: drivers send
-    them before their sensor turns. If there are no others, they fail.
-    """
-    with closing(_Open(path, FrameIterator, options)) as opened:
-        empty: list[DecodedFrame] = []
-        while (decoded := opened.call("following")) is not None and decoded.empty:
-            empty.append(decoded)
-        if decoded is None:
-            yield from (each.frame(path) for each in empty)
-        elif empty and decoded.cloud is not None:
-            doubt = f"{len(empty)} of the recording's scans before it hold no points, and are passed over"
-            decoded = replace(decoded, cloud=replace(decoded.cloud, doubts=(*decoded.cloud.doubts, doubt)))
-        while decoded is not None:
-            yield decoded.frame(path)
-            decoded = opened.call("following")
+    """Yield the scans of a recording in time."""
+    with closing(_Open(path, recorded_scans.frames, options)) as opened:
+        while (frame := opened.call(next, None)) is not None:
+            yield frame
 
 
 def near_blocks(path: Path, places: np.ndarray, reach_m: float) -> Generator[Block]:
     """Yield the points of a map within `reach_m` of any of the places (P, 3), a block at a time."""
     with closing(_Open(path, NearBlocks, places, reach_m)) as opened:
-        while (block := opened.call("following")) is not None:
+        while (block := opened.following()) is not None:
             yield block
 
 
@@ -194,6 +123,6 @@ def confined_images(path: Path, names: Sequence[str]) -> ImagePlayback:
     return cast(ImagePlayback, _Open(path, ImagePlayback, names))
 
 
-def confined_playback(path: Path, topic: str = "") -> unlimited.Playback:
+def confined_playback(path: Path, topic: str = "") -> Playback:
     """Return a Playback in the child."""
-    return cast(unlimited.Playback, _Open(path, unlimited.playback, topic))
+    return cast(Playback, _Open(path, Playback, topic))

@@ -13,8 +13,8 @@ import numpy as np
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import decode_image
 from lidar2pano.geometry.motion import SensorMotion
-from lidar2pano.recordings.description import Recording, Topic, damage
-from lidar2pano.recordings.recorded_scans import recording_reader
+from lidar2pano.recordings.description import Topic, damage
+from lidar2pano.recordings.recorded_scans import open_recording
 from lidar2pano.recordings.transforms import fixed_poses, recorded_motion, stamp_seconds
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -100,11 +100,9 @@ class ImagePlayback:
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         """Open the recording; InputError for damage, and for names without images."""
-        reader = recording_reader(path)
-        self._recording: Recording | None = reader.open(path) if reader and reader.open else None
-        self.path, topics = path, self._recording.description.topics if self._recording else ()
+        self.path, self._recording = path, open_recording(path)
         try:
-            self._pairs = camera_topics(path, topics, names)
+            self._pairs = camera_topics(path, self._recording.description.topics, names)
         except BaseException:
             self.close()
             raise
@@ -119,18 +117,18 @@ class ImagePlayback:
 
     def at(self, stamp_s: float, frame: str) -> list[RecordedImage]:
         """Return the image of each camera nearest to the time of a scan whose coordinates are in `frame`."""
-        assert self._recording is not None
         if self._messages is None:
             self._mounts = {image.name: self._mount(info, image.name, frame) for image, info in self._pairs}
             motion = recorded_motion(self._recording, frame)
             self._motion = motion[0] if motion else None
-            self._messages = self._decoded(self._recording, stamp_s)
+            self._messages = self._decoded(stamp_s)
         self._read_up_to(stamp_s)
         return [self._nearest(image.name, stamp_s) for image, _ in self._pairs]
 
-    def _decoded(self, recording: Recording, stamp_s: float) -> Iterator[tuple[str, float, Any]]:
+    def _decoded(self, stamp_s: float) -> Iterator[tuple[str, float, Any]]:
         """Yield topic, time and content of images, from a little before a time on if the clocks allow it."""
-        about, start_ns = recording.description, round((stamp_s - 2 * REACH_S) * 1e9)
+        recording, start_ns = self._recording, round((stamp_s - 2 * REACH_S) * 1e9)
+        about = recording.description
         within = about.first_ns <= start_ns <= about.last_ns
         for raw in recording.messages(tuple(image for image, _ in self._pairs), start_ns if within else None):
             with damage(self.path, MEND):
@@ -181,7 +179,6 @@ class ImagePlayback:
 
     def _mount(self, info: Topic | None, topic: str, frame: str) -> _Mount | str:
         """Return a camera's intrinsics and pose, or a clause on the missing part."""
-        assert self._recording is not None
         if info is None:
             return "no sensor_msgs/CameraInfo is recorded beside its images; record camera_info, too"
         with damage(self.path, MEND):
@@ -195,8 +192,7 @@ class ImagePlayback:
     def close(self) -> None:
         """Close the recording."""
         self._messages = None
-        if self._recording is not None:
-            self._recording.close()
+        self._recording.close()
 
 
 def intrinsics(info: Any, topic: str) -> dict[str, Any]:  # noqa: ANN401

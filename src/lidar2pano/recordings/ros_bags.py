@@ -25,6 +25,7 @@ from lidar2pano.recordings.description import (
     ROS1,
     Description,
     RawMessage,
+    Recording,
     Topic,
     damage,
     deserializer,
@@ -66,7 +67,7 @@ class RegularPath:
         return quote(os.fsencode(self.path.resolve()))
 
 
-class RosBag:
+class RosBag(Recording):
     """A recording read by rosbags.
 
     open    gives rosbags' open reader;  encoding: of its messages.
@@ -76,11 +77,13 @@ class RosBag:
     indexed = True
 
     def __init__(self, path: Path, format: str, open: Callable[[Path], Any], encoding: str, repair: str) -> None:
-        self.path, self._repair, self._decode = path, repair, None
+        super().__init__(path)
+        self._repair = repair
         with require_extra("recordings", f"{path}:"):
             self._decode = deserializer(encoding)
         with damage(path, repair):
             self._reader = open(path)
+            self.files.callback(self._reader.close)
             self._connections = list(self._reader.connections)
             counts = Counter[tuple[str, str]]()
             for connection in self._connections:
@@ -118,12 +121,7 @@ class RosBag:
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
         """Return the message as an object with ROS's attributes; raises rosbags' errors."""
-        assert self._decode is not None
         return self._decode(message.data, message.topic.type)
-
-    def close(self) -> None:
-        """Close the files."""
-        self._reader.close()
 
 
 def _stored_ns(storage: Any, topic: Topic) -> Iterable[int]:  # noqa: ANN401
