@@ -38,39 +38,41 @@ def recorded_motion(
     None if nothing in the recording tells how the frame moves. Raises InputError at damage.
     """
     topics = recording.description.topics
-    fixed = tuple(topic for topic in topics if topic.type in TF_TYPES and topic.name.endswith(STATIC))
-    moving = tuple(topic for topic in topics if topic.type in (*TF_TYPES, ODOMETRY) and topic not in fixed)
+    moving = tuple(each for each in topics if each.type in (*TF_TYPES, ODOMETRY) and not _is_static(each))
     if not any(topic.count for topic in moving):
         return None
-    static, links, odometry = _Rows(), _Rows(), defaultdict[str, _Rows](_Rows)
-    for message in recording.messages(fixed):
-        for transform in _decoded(recording, message).transforms:
-            static.add(transform, transform.child_frame_id, transform.transform)
+    links, odometry = _Rows(), defaultdict[str, _Rows](_Rows)
     start_ns = None if start_ns is None else start_ns - MARGIN_NS
     for message in recording.messages(moving, start_ns, None if end_ns is None else end_ns + MARGIN_NS):
         content = _decoded(recording, message)
         if message.topic.type == ODOMETRY:
             odometry[message.topic.name].add(content, content.child_frame_id, content.pose.pose)
         else:
-            for transform in content.transforms:
-                links.add(transform, transform.child_frame_id, transform.transform)
-    tree = links.links() | static.fixed_links()
+            links.add_all(content)
+    tree = links.links() | _static_links(recording)
     return _by_tf(tree, frame.strip("/")) or _by_odometry(tree, frame.strip("/"), odometry)
 
 
 def fixed_poses(recording: Recording, frames: Iterable[str]) -> dict[str, np.ndarray] | None:
     """Return T_root_frame (4, 4) float64 of each frame by the recording's tf_static; None if it does not link them."""
-    topics = recording.description.topics
-    static = _Rows()
-    for message in recording.messages(tuple(each for each in topics if each.type in TF_TYPES and STATIC in each.name)):
-        for transform in _decoded(recording, message).transforms:
-            static.add(transform, transform.child_frame_id, transform.transform)
-    tree, poses, roots = static.fixed_links(), dict[str, np.ndarray](), set[str]()
+    tree, poses, roots = _static_links(recording), dict[str, np.ndarray](), set[str]()
     for frame in frames:
         chain = _chain(tree, frame.strip("/"), "")
         poses[frame] = reduce(lambda T, link: np.asarray(link[1].pose) @ T, chain, np.eye(4))
         roots.add(chain[-1][1].parent if chain else frame.strip("/"))
     return poses if len(roots) == 1 else None
+
+
+def _is_static(topic: Topic) -> bool:
+    return topic.type in TF_TYPES and STATIC in topic.name
+
+
+def _static_links(recording: Recording) -> dict[str, Link]:
+    """Return the links of a recording's tf_static by frame."""
+    static = _Rows()
+    for message in recording.messages(tuple(filter(_is_static, recording.description.topics))):
+        static.add_all(_decoded(recording, message))
+    return static.fixed_links()
 
 
 def stamp_seconds(header: Any) -> float:  # noqa: ANN401
@@ -96,6 +98,11 @@ class _Rows:
             if not rows or not 0 <= stamp_s - rows[-8] < STEP_S:
                 rows.extend(row)
             self._parents[child.strip("/")] = stamped.header.frame_id.strip("/")
+
+    def add_all(self, message: Any) -> None:  # noqa: ANN401
+        """Add the transforms of a TFMessage."""
+        for transform in message.transforms:
+            self.add(transform, transform.child_frame_id, transform.transform)
 
     def links(self) -> dict[str, Link]:
         """Return the links by frame; those recorded once only are fixed."""
