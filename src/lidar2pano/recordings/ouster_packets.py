@@ -25,40 +25,39 @@ LEAST_SHARE = 0.5  # of a turn's columns: a capture begins and ends within turns
 MOST_PENDING = 256  # datagrams whose fragments are incomplete
 
 
+def _record(size: int, **fields: tuple[Any, int]) -> np.dtype:
+    """Return the layout of so many bytes by (dtype, offset) of each field."""
+    formats, offsets = zip(*fields.values(), strict=True)
+    return np.dtype({"names": list(fields), "formats": list(formats), "offsets": list(offsets), "itemsize": size})  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
 class Profile(NamedTuple):
     """Layout of a packet.
 
-    header, column, footer  bytes before the columns, before the pixels of one, and behind them;  pixel: bytes of one.
-    range_bits, range_m     of the first field of a pixel, and its unit;  fields: name -> (dtype, offset) of others.
-    second                  bytes from the first return's range and reflectivity to the second's; 0 if there is none.
+    pixel                   its fields; those of the second return have a 2 at the end.
+    range_bits, range_m     of a range, and its unit.
+    header, column, footer  bytes before the columns, before the pixels of one, and behind them.
     """
 
-    header: int
-    column: int
-    footer: int
-    pixel: int
-    range_dtype: str
+    pixel: np.dtype
     range_bits: int
     range_m: float
-    fields: dict[str, tuple[str, int]]
-    second: int = 0
+    header: int = 32
+    column: int = 12
+    footer: int = 0
 
 
-SINGLE = Profile(
-    32, 12, 0, 12, "<u4", 19, 1e-3, {"reflectivity": ("u1", 4), "signal": ("<u2", 6), "near_ir": ("<u2", 8)}
-)
-LOW = Profile(32, 12, 0, 4, "<u2", 15, 8e-3, {"reflectivity": ("u1", 2), "near_ir": ("u1", 3)})
+WIDE = {"signal": ("<u2", 6), "near_ir": ("<u2", 8)}
+LOW = {"range": ("<u2", 0), "reflectivity": ("u1", 2), "near_ir": ("u1", 3)}
+LOW_DUAL = Profile(_record(8, **LOW, range2=("<u2", 4), reflectivity2=("u1", 6)), 15, 8e-3)
+DUAL = {"range2": ("<u4", 4), "reflectivity2": ("u1", 7), "signal": ("<u2", 8), "near_ir": ("<u2", 12)}
 PROFILES = {
-    "LEGACY": Profile(
-        0, 16, 4, 12, "<u4", 20, 1e-3, {"reflectivity": ("<u2", 4), "signal": ("<u2", 6), "near_ir": ("<u2", 8)}
-    ),
-    "RNG19_RFL8_SIG16_NIR16": SINGLE,
-    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(
-        32, 12, 0, 16, "<u4", 19, 1e-3, {"reflectivity": ("u1", 3), "signal": ("<u2", 8), "near_ir": ("<u2", 12)}, 4
-    ),
-    "RNG15_RFL8_NIR8": LOW,
-    "RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8, second=4),
-    "FUSA_RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8, second=4),
+    "LEGACY": Profile(_record(12, range=("<u4", 0), reflectivity=("<u2", 4), **WIDE), 20, 1e-3, 0, 16, 4),
+    "RNG19_RFL8_SIG16_NIR16": Profile(_record(12, range=("<u4", 0), reflectivity=("u1", 4), **WIDE), 19, 1e-3),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(_record(16, range=("<u4", 0), reflectivity=("u1", 3), **DUAL), 19, 1e-3),
+    "RNG15_RFL8_NIR8": Profile(_record(4, **LOW), 15, 8e-3),
+    "RNG15_RFL8_NIR8_DUAL": LOW_DUAL,
+    "FUSA_RNG15_RFL8_NIR8_DUAL": LOW_DUAL,
 }
 
 
@@ -124,30 +123,17 @@ class Sensor:
     @property
     def packet_bytes(self) -> int:
         """Length of its packets of points."""
-        layout = self.profile
-        block = layout.column + len(self.optics.beams) * layout.pixel + layout.footer
-        return layout.header + self.packet_columns * block + (32 if layout.header else 0)
+        header = self.profile.header
+        return header + self.packet_columns * self.block.itemsize + (32 if header else 0)
 
     @cached_property
     def block(self) -> np.dtype:
         """A column of a packet."""
-        layout, pixel = self.profile, {"range": (self.profile.range_dtype, 0), **self.profile.fields}
-        if layout.second:
-            pixel["range2"] = (layout.range_dtype, layout.second)
-            pixel["reflectivity2"] = (pixel["reflectivity"][0], pixel["reflectivity"][1] + layout.second)
-        names, parts = list(pixel), list(pixel.values())
-        record = {"names": names, "formats": [part[0] for part in parts], "offsets": [part[1] for part in parts]}
-        pixels = np.dtype(record | {"itemsize": layout.pixel})  # pyright: ignore[reportArgumentType, reportCallIssue]
-        count = len(self.optics.beams)
-        status = layout.column + count * layout.pixel if layout.footer else 10
-        return np.dtype(  # pyright: ignore[reportCallIssue]
-            {
-                "names": ["stamp_ns", "column", "status", "pixels"],
-                "formats": ["<u8", "<u2", "<u2", (pixels, count)],
-                "offsets": [0, 8, status, layout.column],
-                "itemsize": layout.column + count * layout.pixel + layout.footer,
-            }  # pyright: ignore[reportArgumentType]
-        )
+        layout, count = self.profile, len(self.optics.beams)
+        end = layout.column + count * layout.pixel.itemsize
+        status = ("<u2", end if layout.footer else 10)
+        pixels = ((layout.pixel, count), layout.column)
+        return _record(end + layout.footer, stamp_ns=("<u8", 0), column=("<u2", 8), status=status, pixels=pixels)
 
     def columns_of(self, payload: bytes) -> np.ndarray:
         """Return the valid columns of a packet."""
@@ -156,9 +142,10 @@ class Sensor:
 
     def cloud(self, rows: np.ndarray, name: str) -> PointCloud:
         """Return the points of the columns (n,) of a turn, as `Optics.cloud` does."""
-        pixels = rows["pixels"].T  # (beams, n)
-        returns = [{field: pixels[field] for field in self.profile.fields} | {"range": self._range_m(pixels["range"])}]
-        if self.profile.second:
+        pixels, names = rows["pixels"].T, self.profile.pixel.names or ()  # (beams, n)
+        first = {name: pixels[name] for name in names if not name.endswith("2")}
+        returns = [first | {"range": self._range_m(pixels["range"])}]
+        if "range2" in names:
             returns.append({"reflectivity": pixels["reflectivity2"], "range": self._range_m(pixels["range2"])})
         return self.optics.cloud(rows["column"], rows["stamp_ns"], returns, name)
 
