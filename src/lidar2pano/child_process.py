@@ -5,6 +5,7 @@ Libraries let no bound be set on their work; the operating system does. What a c
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import io
 import os
@@ -42,7 +43,7 @@ LENGTHS = struct.Struct("<QQ")  # of a message, and of its array number n
 TRUSTED = ("lidar2pano.", "numpy.")  # modules whose classes may stand in an answer
 PLAIN = {"builtins": {"slice", "complex", "bytearray", "set", "frozenset"}, "numpy": {"dtype", "ndarray"}}
 PLAIN |= {"pathlib": {"PosixPath", "PurePosixPath", "Path"}}
-PROGRAM = "import sys; from lidar2pano.child_process import work; work(*map(int, sys.argv[1:]))"
+PROGRAM = "import sys; from lidar2pano.child_process import work; work(int(sys.argv[1]))"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,12 +79,12 @@ class ChildProcess:
     """
 
     def __init__(self, *, keeps: bool = False) -> None:
-        """keeps  whether a call may need objects of an earlier one."""
+        """keeps  whether a call may need objects of an earlier one; if not, it ends when one has made it large."""
         self._keeps = keeps
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
-        self._sweep: weakref.finalize | None = None  # ends the process and removes its temporary files
+        self._temporary = ""  # the folder of its temporary files, which would outlive it
         STARTED.add(self)
 
     def call(self, bound: Bound, title: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
@@ -96,10 +97,12 @@ class ChildProcess:
             return function(*arguments)
         with self._lock:
             try:
-                kind, value = self._answer(bound, title, (bound, _folder(), function, arguments))
+                kind, value, grown = self._answer(bound, title, (bound, _folder(), function, arguments))
             except BaseException:
-                self._end()
+                self.end()
                 raise
+            if grown and not self._keeps:
+                self.end()
         if kind == "value":
             return value
         if kind == "memory":
@@ -113,80 +116,69 @@ class ChildProcess:
                 self._start()
 
     def close(self) -> None:
-        """End the process."""
+        """End the process when it is not working."""
         with self._lock:
-            self._end()
+            self.end()
 
-    def _answer(self, bound: Bound, title: str, request: object, *, again: bool = True) -> tuple[str, Any]:
-        self._start()
-        assert self._socket is not None
-        self._socket.settimeout(bound.seconds * WALL)
+    def end(self) -> None:
+        """End the process at once, whoever waits for it, and remove its temporary files."""
+        process, channel, folder = self._process, self._socket, self._temporary
+        self._process, self._socket, self._temporary = None, None, ""
+        if process is not None:
+            process.kill()
+            process.wait()
+        if channel is not None:
+            channel.close()
+        if folder:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _answer(self, bound: Bound, title: str, request: object) -> tuple[str, Any, bool]:
+        process, channel = self._start()
+        channel.settimeout(bound.seconds * WALL)
         try:
-            send(self._socket, request)
-            return receive(self._socket, bound.bytes, AnswerUnpickler)
+            send(channel, request)
+            return receive(channel, bound.bytes, AnswerUnpickler)
         except TimeoutError:
             raise InputError(_excess(title, f"more than {bound.seconds * WALL:.0f} s")) from None
         except (EOFError, OSError):  # it has ended
-            status = self._process.wait(START_S) if self._process else 0
-        if status == 0 and again:  # it left after its last answer, to give back memory
-            return self._answer(bound, title, request, again=False)
+            status = process.wait(START_S)
         if status in (-signal.SIGXCPU, -signal.SIGKILL):
             raise InputError(_excess(title, f"more than {bound.seconds:.0f} s of processor time"))
         raise InputError(f"{title}: ends the library that reads it (status {status}); it is damaged, fetch it again")
 
-    def _start(self) -> None:
-        if self._process is not None and self._process.poll() is None:
-            return
-        self._end()
-        ours, theirs = socket.socketpair()
+    def _start(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
+        if self._process is not None and self._socket is not None and self._process.poll() is None:
+            return self._process, self._socket
+        self.end()
+        self._socket, theirs = socket.socketpair()
         paths = os.pathsep.join(dict.fromkeys(path for path in sys.path if path))
-        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
-        folders: dict[str, str] = {}
+        settings = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
         with contextlib.suppress(OSError):
-            folders = {"TMPDIR": tempfile.mkdtemp(prefix="lidar2pano-")}
-        started: list[subprocess.Popen[bytes]] = []
-        self._sweep = weakref.finalize(self, _sweep, started, folders.get("TMPDIR"))
+            self._temporary = settings["TMPDIR"] = tempfile.mkdtemp(prefix="lidar2pano-")
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno()), str(int(self._keeps))],
+                [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env=os.environ | threads | folders | {"PYTHONPATH": paths},
+                env=os.environ | settings | {"PYTHONPATH": paths},
             )
-        started.append(self._process)
-        self._socket = ours
-        ours.settimeout(START_S)
-        receive(ours, BASE_BYTES, AnswerUnpickler)  # it is ready
-
-    def _end(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        if self._sweep is not None:
-            self._sweep()
-        self._process = self._socket = self._sweep = None
+        self._socket.settimeout(START_S)
+        receive(self._socket, BASE_BYTES, AnswerUnpickler)  # it is ready
+        return self._process, self._socket
 
     def __del__(self) -> None:
         """End the process with its object."""
         with contextlib.suppress(Exception):
-            self._end()
+            self.end()
 
 
-def _sweep(started: Sequence[subprocess.Popen[bytes]], folder: str | None) -> None:
-    """End a process, and remove its temporary files: they would outlive it."""
-    for process in started:
-        process.kill()
-        process.wait()
-    if folder:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
+@atexit.register
 def end_children() -> None:
     """End the processes of all objects at once, whoever waits for them."""
     for child in list(STARTED):
-        if child._sweep is not None:
-            child._sweep()
+        child.end()
 
 
 def _folder() -> str:
@@ -245,22 +237,20 @@ def _received(channel: socket.socket, size: int) -> bytearray:
     return data
 
 
-def work(descriptor: int, keeps: int) -> None:
-    """Make the calls that the parent asks for, until it ends: the program of the child.
-
-    Unless it `keeps` objects, it leaves when a call has made it more than KEPT_BYTES larger.
-    """
+def work(descriptor: int) -> None:
+    """Make the calls that the parent asks for, until it ends: the program of the child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is meant for the parent, which then ends this process
     with socket.socket(fileno=descriptor) as channel, contextlib.suppress(EOFError, OSError):
         send(channel, "ready")
         begin = _data_bytes()
-        while keeps or _data_bytes() <= begin + KEPT_BYTES:
+        while True:
             bound, folder, function, arguments = receive(channel, sys.maxsize)
             try:
                 os.chdir(folder)
-                send(channel, _called(bound, function, arguments))
+                answer = _called(bound, function, arguments)
+                send(channel, (*answer, _data_bytes() > begin + KEPT_BYTES))
             except MemoryError:  # for the answer; nothing of it is sent yet
-                send(channel, ("memory", ""))
+                send(channel, ("memory", "", True))
 
 
 def _called(bound: Bound, function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[str, Any]:

@@ -541,7 +541,7 @@ from lidar2pano.cli import main
 app = sys.modules["lidar2pano.cli.app"]
 child = ChildProcess()  # as a library's own objects: in use until the interpreter ends
 child.call(Bound(bytes=1 << 28, seconds=5.0), "a", len, ())
-where, folder = child._process.pid, child._sweep.peek()[2][-1]
+where, folder = child._process.pid, child._temporary
 
 def wait():
     print(where, folder, flush=True)
