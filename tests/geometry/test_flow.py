@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import normalize
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import camera_rays
 from lidar2pano.geometry.flow import (
     Flow,
-    camera_rays,
     chained,
     ego_flow,
     moved_distances,
@@ -67,7 +68,7 @@ def looks(raster: View | Calibration) -> tuple[np.ndarray, np.ndarray]:
     """The point that looks (3,) and the directions of the pixels (H, W, 3), in the sensor's frame."""
     if isinstance(raster, View):
         return np.array(raster.origin), directions(raster).double().numpy()
-    return np.array(raster.centre), camera_rays(raster).numpy()
+    return np.array(raster.centre), normalize(camera_rays(raster), dim=-1).numpy()
 
 
 def rendered(raster: View | Calibration, T: np.ndarray) -> torch.Tensor:

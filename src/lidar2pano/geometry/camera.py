@@ -96,19 +96,28 @@ def _camera_in_panorama(view: View, KR: bytes, size: tuple[int, int]) -> Lookup:
 
 def panorama_in_camera(view: View, calibration: Calibration | LensCalibration) -> Lookup:
     """Look-up that resamples a panorama (H, W) into the camera's image: (height, width), valid where it reaches."""
+    return _in_panorama(view, camera_rays(calibration))
+
+
+def camera_rays(calibration: Calibration | LensCalibration) -> Tensor:
+    """Directions (h, w, 3) float64, of any length, from the optical centre through the pixel centres, sensor axes.
+
+    NaN where a lens projects nothing.
+    """
+    R = calibration.T_camera_lidar[:3, :3]
     if isinstance(calibration, LensCalibration):
-        ray = torch.from_numpy(calibration.rays() @ calibration.T_camera_lidar[:3, :3])
-    else:
-        width, height = calibration.size
-        v, u = torch.meshgrid(
-            torch.arange(height, dtype=torch.float64), torch.arange(width, dtype=torch.float64), indexing="ij"
-        )
-        to_ray = torch.from_numpy(calibration.K @ calibration.T_camera_lidar[:3, :3]).inverse()
-        ray = torch.stack([u, v, torch.ones_like(u)], dim=-1) @ to_ray.T
-    x, y, z = ray.unbind(-1)
-    row, column = pixels(x, y, z, view)
-    valid = (row >= 0) & (row < view.rows) & (view.circular | ((column >= 0) & (column < view.columns)))
-    valid &= x.isfinite()
+        return torch.from_numpy(calibration.rays() @ R)
+    width, height = calibration.size
+    v, u = torch.meshgrid(
+        torch.arange(height, dtype=torch.float64), torch.arange(width, dtype=torch.float64), indexing="ij"
+    )
+    return torch.stack([u, v, torch.ones_like(u)], dim=-1) @ torch.from_numpy(calibration.K @ R).inverse().T
+
+
+def _in_panorama(view: View, rays: Tensor) -> Lookup:
+    """Return the look-up of directions (h, w, 3) in a panorama on `view`."""
+    row, column = pixels(*rays.unbind(-1), view)
+    valid = (row >= 0) & (row <= view.rows) & (view.circular | ((column >= 0) & (column <= view.columns)))
     row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))
     return Lookup(row=row, column=column, valid=valid, circular=view.circular)
 
@@ -184,11 +193,7 @@ def cube_faces(view: View) -> dict[str, Calibration]:
 
 def panorama_in_view(view: View, target: View) -> Lookup:
     """Return the look-up from a panorama on `view` to `target`, another raster around the same point."""
-    x, y, z = directions(target).unbind(-1)
-    row, column = pixels(x, y, z, view)
-    valid = (row >= 0) & (row <= view.rows) & (view.circular | ((column >= 0) & (column <= view.columns)))
-    row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))
-    return Lookup(row=row, column=column, valid=valid, circular=view.circular)
+    return _in_panorama(view, directions(target))
 
 
 def lookups(view: View, projection: str) -> dict[str, Lookup]:

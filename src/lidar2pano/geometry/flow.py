@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate, max_pool2d, pad
+from torch.nn.functional import avg_pool2d, interpolate, max_pool2d, normalize, pad
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.geometry.camera import points_in_camera
+from lidar2pano.geometry.camera import camera_rays, points_in_camera
 from lidar2pano.geometry.projection import directions, nearest_points, pixels
 from lidar2pano.geometry.rasters import warp
 from lidar2pano.views import View
@@ -126,7 +126,10 @@ def moved_distances(before_m: Tensor, T_now_before: Tensor, view: View) -> Tenso
 def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
     """Return the places of pixels' surfaces in the previous frame, (H, W, 3) float64 from a point; and the point."""
     device = now_m.device
-    rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
+    if isinstance(raster, View):
+        rays = directions(raster, device=device).double()
+    else:
+        rays = normalize(camera_rays(raster).to(device), dim=-1)
     origin = torch.tensor(
         raster.origin if isinstance(raster, View) else raster.centre, dtype=torch.float64, device=device
     )
@@ -145,17 +148,6 @@ def moved_ends(rays: Tensor, distance_m: Tensor, T: Tensor, origin: Tensor) -> T
     far = distance_m.isinf()[..., None]
     measured = (distance_m.double()[..., None].where(~far, 0.0) * rays) @ turn.T + step
     return torch.where(far, rays @ turn.T, measured)
-
-
-def camera_rays(calibration: Calibration) -> Tensor:
-    """Unit vectors (h, w, 3) float64 from the optical centre through the pixel centres, sensor axes."""
-    width, height = calibration.size
-    v, u = torch.meshgrid(
-        torch.arange(height, dtype=torch.float64), torch.arange(width, dtype=torch.float64), indexing="ij"
-    )
-    to_ray = torch.from_numpy(calibration.K @ calibration.T_camera_lidar[:3, :3]).inverse()
-    ray = torch.stack([u, v, torch.ones_like(u)], dim=-1) @ to_ray.T
-    return ray / ray.norm(dim=-1, keepdim=True)
 
 
 def scan_distances(xyz: Tensor, calibration: Calibration) -> Tensor:
