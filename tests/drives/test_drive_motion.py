@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,7 +95,7 @@ def test_poses_follow_how_a_cloud_was_read(overrides):
     recorded = SensorMotion((Trajectory.of([(0, *pose(1)), (1, *pose(4))]),))
     cloud = PointCloud(xyz=street(0).xyz, intensity=street(0).remission)
     scan, found = interpret(cloud, overrides)
-    _, T = DriveMotion(recorded, "/odom", estimate=False).step(scan, found, 0.4)
+    _, T = DriveMotion(recorded, "/odom", estimate=False)(Path(), scan, replace(found, stamp_s=0.4))
     world = scan.xyz[:50] @ T[:3, :3].T + T[:3, 3]
     wanted = recorded.at(np.array([0.4]))[0]
     np.testing.assert_allclose(world, cloud.xyz[:50] @ wanted[:3, :3].T + wanted[:3, 3], atol=1e-3)
@@ -109,14 +110,14 @@ def test_an_estimated_motion_deskews_the_next_scan():
     assert motion.origin == "KISS-ICP"
     scan, found = interpret(PointCloud(xyz=street(0).xyz))
     timed = replace(scan, time_s=np.linspace(0, 0.1, len(scan)))
-    first, _ = motion.step(timed, found, 5.0)
+    first, _ = motion(Path(), timed, replace(found, stamp_s=5.0))
     np.testing.assert_array_equal(first.xyz, scan.xyz)  # nothing is known yet
     delta = np.eye(4)
     delta[0, 3] = 2.0
     motion._estimated.last_delta = delta
-    second, _ = motion.step(timed, found, 5.1)
+    second, _ = motion(Path(), timed, replace(found, stamp_s=5.1))
     np.testing.assert_allclose(second.xyz[:, 0] - scan.xyz[:, 0], 20 * timed.time_s, atol=0.01)
-    late, _ = motion.step(timed, found, 50.0)
+    late, _ = motion(Path(), timed, replace(found, stamp_s=50.0))
     np.testing.assert_array_equal(late.xyz, scan.xyz)  # a gap: the motion before tells nothing
 
 

@@ -5,8 +5,8 @@ Scans without cameras go no further than this file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -60,19 +60,10 @@ def parse_camera(text: str) -> NamedCamera:
     words = text.split(":")
     if len(words) < len(NamedCamera._fields) - 1:
         raise InputError(f"--camera {text}: has no calibration; name its calibration behind a colon, IMAGE:CALIB")
-    for count in (2, 3):
-        for parts in _groupings(words, count):
+    for colons in (1, 2):
+        for cuts in combinations(range(1, len(words)), colons):  # the others are parts of paths
+            parts = [":".join(words[start:end]) for start, end in pairwise((0, *cuts, len(words)))]
             if all(part and Path(part).exists() for part in parts):
                 return NamedCamera(*map(Path, parts))
     missing = next((word for word in words if not Path(word).exists()), text)
     raise InputError(f"--camera {text!r}: is not of the form IMAGE:CALIB[:POSE], or {missing!r} is missing; name files")
-
-
-def _groupings(words: Sequence[str], count: int) -> Iterator[list[str]]:
-    """Yield the ways to join words by ":" to so many texts: a path may have colons."""
-    if count == 1:
-        yield [":".join(words)]
-        return
-    for first in range(1, len(words) - count + 2):
-        for rest in _groupings(words[first:], count - 1):
-            yield [":".join(words[:first]), *rest]

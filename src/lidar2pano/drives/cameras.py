@@ -140,7 +140,7 @@ def read_sources(sources: Sequence[CameraSource], options: CameraOptions, T_scan
 
 def masked(camera: Camera, mask: Path) -> Camera:
     """Return the camera with the vehicle where a mask image is not black; InputError if it is of another size."""
-    (rows, columns), (width, height) = image_size(mask)[::-1], camera.calibration.size
+    (columns, rows), (width, height) = image_size(mask), camera.calibration.size
     if (columns, rows) != (width, height):
         raise InputError(f"{mask}: is {columns}x{rows}, the image {width}x{height}; draw the mask on the image")
     pixels = read_image(mask, "RGB").any(axis=2)
@@ -220,17 +220,12 @@ def found_beside(scan_file: Path) -> Iterator[CameraSource]:
         yield from _of_frame(scan_file, frame)
     elif folder.name == "velodyne":
         yield from _beside_velodyne(scan_file)
-    elif folder.parent.name == "velodyne":  # of the tracking benchmark
-        root, sequence = folder.parents[1], folder.name
+    elif folder.parent.name == "velodyne" or folder.parts[-2:] == ("velodyne_points", "data"):  # tracking; raw
+        root = folder.parents[1]
+        calibration = root / "calib" / f"{folder.name}.txt" if folder.parent.name == "velodyne" else root
         for number, name in enumerate(RAW, 2):
-            for image in images_of(root / name / sequence, stem):
-                calibration = root / "calib" / f"{sequence}.txt"
+            for image in images_of(root / name / folder.name, stem):
                 yield CameraSource(name, partial(_read_kitti, scan_file, image, calibration, number))
-    elif folder.name == "data" and folder.parent.name == "velodyne_points":
-        drive = folder.parents[1]
-        for number, name in enumerate(RAW, 2):
-            for image in images_of(drive / name / "data", stem):
-                yield CameraSource(name, partial(_read_kitti, scan_file, image, drive, number))
     else:
         from lidar2pano.data import nuscenes
 
@@ -250,10 +245,8 @@ def _beside_velodyne(scan_file: Path) -> Iterator[CameraSource]:
         own = folder / "calib" / f"{stem_of(scan_file)}.txt"  # of the object benchmark
         for number, name in enumerate(SISTERS, 2):
             for image in images_of(folder / name, stem_of(scan_file)):
-                source, calibration = (
-                    f"{folder.name}/{name}".removeprefix(f"{sequence.name}/"),
-                    own if own.is_file() else folder,
-                )
+                source = f"{folder.name}/{name}".removeprefix(f"{sequence.name}/")
+                calibration = own if own.is_file() else folder
                 yield CameraSource(source, partial(_read_kitti, scan_file, image, calibration, number))
 
 

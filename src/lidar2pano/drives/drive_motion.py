@@ -44,28 +44,19 @@ class DriveMotion:
         self._stamp_s: float | None = None
         self.origin = "KISS-ICP" if self._estimated else origin if recorded else ""
 
-    @classmethod
-    def of_recording(cls, path: Path, options: ReadOptions, frame: str, estimate: bool) -> DriveMotion:
-        """Return the motion of a recording's scans, given in the coordinate frame `frame`; InputError at damage."""
-        recorded = recorded_motion(path, options, frame)
-        return cls(*recorded, estimate) if recorded else cls(None, "", estimate)
-
     def __call__(self, _: Path, scan: Scan, interpretation: Interpretation) -> tuple[Scan, np.ndarray | None]:
-        """Return `step` at the scan's own stamp: a Motion."""
-        return self.step(scan, interpretation, interpretation.stamp_s or 0.0)
-
-    def step(self, scan: Scan, interpretation: Interpretation, stamp_s: float) -> tuple[Scan, np.ndarray | None]:
         """Return the scan as measured by a sensor at rest at its stamp, and T_world_sensor (4, 4) float64 then.
 
         interpretation  how the scan was read from its cloud.
         A scan without times stays as it is. The pose is None at times of unknown motion.
         """
+        stamp_s = interpretation.stamp_s or 0.0
         if self._recorded is not None:
             motion, pose = _of_scan(self._recorded, interpretation), self.pose(interpretation, stamp_s)
-            return (self._without_skew(scan, stamp_s, motion) if pose is not None else scan), pose
+            return (_without_skew(scan, stamp_s, motion) if pose is not None else scan), pose
         if self._estimated is None:
             return scan, None
-        scan = self._without_skew(scan, stamp_s, self._last_motion(stamp_s))
+        scan = _without_skew(scan, stamp_s, self._last_motion(stamp_s))
         self._estimated.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))
         self._stamp_s = stamp_s
         return scan, self._estimated.last_pose.copy()
@@ -83,11 +74,11 @@ class DriveMotion:
         stamps = stamp_s + step_s * np.array([-1.0, 0.0, 1.0])
         return SensorMotion((Trajectory.of_poses(stamps, poses),))
 
-    @staticmethod
-    def _without_skew(scan: Scan, stamp_s: float, motion: SensorMotion | None) -> Scan:
-        if scan.time_s is None or motion is None:
-            return scan
-        return replace(scan, xyz=deskewed(scan.xyz, scan.time_s, stamp_s, motion))
+
+def _without_skew(scan: Scan, stamp_s: float, motion: SensorMotion | None) -> Scan:
+    if scan.time_s is None or motion is None:
+        return scan
+    return replace(scan, xyz=deskewed(scan.xyz, scan.time_s, stamp_s, motion))
 
 
 def motion_of(
@@ -103,7 +94,8 @@ def motion_of(
     if recording_reader(stream):
         if not estimate and scan.time_s is None:
             return None
-        drive = DriveMotion.of_recording(stream, options, interpretation.frame, estimate)
+        recorded = recorded_motion(stream, options, interpretation.frame)
+        drive = DriveMotion(*(recorded or (None, "")), estimate)
     elif not estimate:
         return None
     elif city := city_motion(stream):

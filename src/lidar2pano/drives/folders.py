@@ -348,10 +348,7 @@ def _in_data_set(folder: str) -> bool:
 
 def _counts(sources: list[Source]) -> str:
     """Return how many scans the first folders hold, as a clause."""
-    counts: dict[str, int] = {}
-    for source in sources:
-        place = source.folder or source.name
-        counts[place] = counts.get(place, 0) + 1
+    counts = Counter(source.folder or source.name for source in sources)
     clauses = [f"{folder} below it holds {count}" for folder, count in list(counts.items())[:MOST_NAMED]]
     further = [f"{len(counts) - MOST_NAMED} more folders hold others"] if len(counts) > MOST_NAMED else []
     return ", ".join([*clauses, *further])

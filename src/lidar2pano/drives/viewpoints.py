@@ -215,16 +215,14 @@ def check_map(files: Sequence[Path]) -> None:
 
 @dataclass(kw_only=True)
 class Extent:
-    """The bounds of a map, and how many points it has."""
+    """The bounds of a map."""
 
     low: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
     high: np.ndarray = field(default_factory=lambda: np.full(3, -np.inf))
-    points: int = 0
 
     def add(self, block: Block) -> None:
         """Add a block of points."""
         self.low, self.high = np.minimum(self.low, block.low), np.maximum(self.high, block.high)
-        self.points += block.points
 
     def __str__(self) -> str:
         """Return the bounds of each axis."""
