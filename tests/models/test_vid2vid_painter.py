@@ -181,7 +181,14 @@ def test_panoramas_come_at_twice_the_segments_raster_whatever_they_are_painted_o
     painter = Vid2VidPainter.all_around(generator, None, columns, 24)
     segments = one_hot_layers(maps(1, 8, 24), CLASSES)
     with torch.inference_mode():
-        scene = Scene.predicted(SMALL, torch.zeros(1, 5, 8, 24), segments, torch.zeros(1, 8, 24))
+        depth_m, viewpoint_m = torch.zeros(1, 8, 24), torch.ones(1)
+        scene = Scene(
+            view=SMALL,
+            channels=torch.zeros(1, 5, 8, 24),
+            probabilities=segments,
+            depth_m=depth_m,
+            viewpoint_m=viewpoint_m,
+        )
         past, image = painter.paint(None, scene)
         _, first = Vid2VidPainter(generator).follow(None, past.ids[-1, : raster[0], -raster[1] :])
     assert image.shape == (1, 3, 16, 48)

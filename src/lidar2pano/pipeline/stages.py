@@ -412,7 +412,14 @@ class PaperPipeline(Pipeline):
         """Predict classes and depths all around."""
         with timer("translate"):
             probabilities, depth_m = self._translated(measurement)
-            return Scene.predicted(self.view, measurement.channels, probabilities, depth_m, points=measurement.points)
+            return Scene(
+                view=self.view,
+                channels=measurement.channels,
+                probabilities=probabilities,
+                depth_m=depth_m,
+                viewpoint_m=viewpoint_height(depth_m, likeliest(probabilities) == ROAD, self.view),
+                points=measurement.points,
+            )
 
     def _densified(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
         return scan, image, torch.arange(len(scan), device=image.index.device)

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from lidar2pano.geometry.rasters import likeliest
 from lidar2pano.labels import COMMON15
-from lidar2pano.scene.surfaces import cylinder_points, viewpoint_height
+from lidar2pano.scene.surfaces import cylinder_points
 from lidar2pano.views import View
 
-ROAD, SKY = COMMON15.id_of("road"), COMMON15.id_of("sky")
+SKY = COMMON15.id_of("sky")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,28 +64,6 @@ class Scene:
     T_world_sensor: np.ndarray | None = None
     points: ScanPoints | None = None
     photographed: tuple[Tensor, Tensor] | None = None
-
-    @classmethod
-    def predicted(  # noqa: PLR0913 a scene's parts
-        cls,
-        view: View,
-        channels: Tensor,
-        probabilities: Tensor,
-        depth_m: Tensor,
-        *,
-        T_world_sensor: np.ndarray | None = None,
-        points: ScanPoints | None = None,
-    ) -> Scene:
-        """Return a scene with the ground where its predicted depths have the road."""
-        return cls(
-            view=view,
-            channels=channels,
-            probabilities=probabilities,
-            depth_m=depth_m,
-            viewpoint_m=viewpoint_height(depth_m, likeliest(probabilities) == ROAD, view),
-            T_world_sensor=T_world_sensor,
-            points=points,
-        )
 
     @property
     def measured(self) -> Tensor:
