@@ -238,7 +238,7 @@ def first_hits_slowly(surfels, rays) -> np.ndarray:
             level = math.cos(rays.elevation[beam])
             ray = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(rays.elevation[beam])])
             hits = []
-            for number in range(len(surfels)):
+            for number in range(len(surfels.centre)):
                 centre, normal = surfels.centre[number], surfels.normal[number]
                 if np.linalg.norm(centre) <= surfels.reach_m[number]:
                     continue

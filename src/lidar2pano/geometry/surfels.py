@@ -10,8 +10,8 @@ Hornung, Zwicker, Kobbelt: High-quality surface splatting on today's GPUs, 2005,
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,8 +28,7 @@ SAMPLE, DOUBLINGS = 2000, 6
 CHUNK, PAIRS = 1 << 16, 1 << 21  # points, and surfels with rays, worked on at a time
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surfels:
+class Surfels(NamedTuple):
     """N ellipses around the viewpoint, metres.
 
     centre  (N, 3) float64;  normal: (N, 3) of length 1.
@@ -43,14 +42,6 @@ class Surfels:
     minor: np.ndarray
     reach_m: np.ndarray
     value: np.ndarray
-
-    def __len__(self) -> int:
-        """Return the number of ellipses."""
-        return len(self.centre)
-
-    def subset(self, chosen: np.ndarray | slice) -> Surfels:
-        """Return some of the ellipses, by index or mask."""
-        return Surfels(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,8 +125,7 @@ def fit_surfels(xyz: np.ndarray, values: np.ndarray, cell_m: np.ndarray) -> Surf
         joined = distance[:, -1] <= OUTLIER * np.median(reach[near], axis=1)
         members = near[joined]
         parts.append(_ellipses(xyz[members], values[members].mean(axis=1), cell_m[chunk][joined] / 2))
-    names = [field.name for field in fields(Surfels)]
-    return Surfels(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    return Surfels(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _ellipses(near: np.ndarray, value: np.ndarray, least_m: np.ndarray) -> Surfels:
@@ -186,7 +176,7 @@ def first_hits(surfels: Surfels, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
     A surfel around the viewpoint itself is not met.
     """
     outside = np.linalg.norm(surfels.centre, axis=1) > surfels.reach_m
-    surfels = surfels.subset(outside)
+    surfels = Surfels(*(part[outside] for part in surfels))
     hits = [np.concatenate(part) for part in zip(*_hits(surfels, rays), strict=True)]
     count = len(rays.elevation) * rays.firings
     ranges, value = np.full(count, np.inf), np.zeros(count)
@@ -230,7 +220,7 @@ def _candidates(surfels: Surfels, rays: Rays) -> Iterator[tuple[np.ndarray, np.n
     half = np.where(lengths < 1, np.arcsin(np.minimum(lengths, 1)), np.pi) / rays.step
     counts = (end - first) * (np.floor(2 * np.minimum(half, rays.firings / 2)).astype(np.int64) + 1)
     edges = np.searchsorted(np.cumsum(counts), np.arange(PAIRS, counts.sum() + PAIRS, PAIRS))
-    for begin, stop in zip([0, *edges], [*edges, len(surfels)], strict=True):
+    for begin, stop in zip([0, *edges], [*edges, len(surfels.centre)], strict=True):
         chosen = np.arange(begin, stop)
         owner = np.repeat(chosen, (end - first)[begin:stop])
         row = len(rising) - 1 - (first[owner] + _places((end - first)[begin:stop]))
