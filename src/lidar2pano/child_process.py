@@ -84,7 +84,7 @@ class ChildProcess:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
-        self._temporary = ""  # the folder of its temporary files, which would outlive it
+        self._temporary = ""  # the folder of its temporary files: they would outlive it
         STARTED.add(self)
 
     def call(self, bound: Bound, title: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401

@@ -27,7 +27,7 @@ from lidar2pano.recordings.recorded_images import RecordedImage
 from lidar2pano.views import VIEWS
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp")
-MOST_TRIED = 8  # images of a folder, some of which may be damaged
+MOST_TRIED = 8  # images of a folder: some may be damaged
 STAMP = re.compile(r"(?:^|\D)(\d{16}|\d{18,19})$")  # at the end of a file's stem
 
 

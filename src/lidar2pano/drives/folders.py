@@ -37,7 +37,7 @@ DATA_SETS = ("velodyne", "velodyne_points/data", "velodyne/[0-9]*", "LIDAR_*", "
 # Fields of radars' PCDs, nuScenes' among them
 RADAR = re.compile(rb"(?im)^(?:FIELDS|COLUMNS) .*\b(?:rcs|dyn_prop|vx_comp|range_rate)\b")
 MOST_NAMES = 1 << 20  # looked through below a folder without scans of its own
-TABLES = (".feather", ".parquet", *TEXT_ENDINGS)  # which hold poses and boxes as well
+TABLES = (".feather", ".parquet", *TEXT_ENDINGS)  # of points, or of poses and boxes
 # Names of tables beside scans, without points
 NO_POINTS = re.compile(r"(?i)pose|traj|calib|time|odom|gps|gnss|imu|oxts|label")
 MOST_NAMED = 3  # folders in a message
@@ -126,7 +126,7 @@ def _seconds(line: str | float) -> float:
 
 def output_stems(files: Sequence[Path]) -> dict[Path, str]:
     """Return the name of each file's outputs: its stem; for equal ones, with folders' names in front."""
-    from lidar2pano.panorama import STEM_ENDINGS  # and torch, which `inspect` does not need
+    from lidar2pano.panorama import STEM_ENDINGS  # and torch: `inspect` needs none
 
     paths = {file: (*file.resolve().parts[1:-1], stem_of(file)) for file in files}
     stems = {file: stem_of(file) for file in files}
@@ -199,8 +199,8 @@ def find_sources(names: Iterable[str], head: Head | None = None) -> list[Source]
         for folder in sort_names(files_by_folder)
         for source in _sources_of_folder(folder, files_by_folder[folder], head)
     ]
-    known = any(_in_data_set(source.folder) for source in sources)  # then tables elsewhere are poses and boxes
-    return [source for source in sources if not (known and _is_table(source) and not _in_data_set(source.folder))]
+    in_data_set = any(_in_data_set(source.folder) for source in sources)  # then tables elsewhere are poses and boxes
+    return [source for source in sources if not (in_data_set and _is_table(source) and not _in_data_set(source.folder))]
 
 
 def _sources_of_folder(folder: str, names: list[str], head: Head | None) -> list[Source]:

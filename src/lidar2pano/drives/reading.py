@@ -211,7 +211,7 @@ def read_cameras(reading: Reading, find: CameraReader, options: CameraOptions | 
 
 
 def _cameras_of_file(options: CameraOptions, source: ScanSource, interpretation: Interpretation) -> ScanCameras:
-    from lidar2pano.drives.cameras import cameras_of  # and readers of data sets, which few scans need
+    from lidar2pano.drives.cameras import cameras_of  # and readers of data sets: few scans need them
 
     stem = stem_of(source.path) if source.number is None else source.stem
     return cameras_of(source.path, stem, options, T_scan_cloud(interpretation))

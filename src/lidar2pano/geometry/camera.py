@@ -116,7 +116,8 @@ def camera_rays(calibration: Calibration | LensCalibration) -> Tensor:
 
 def _in_panorama(view: View, rays: Tensor) -> Lookup:
     """Return the look-up of directions (h, w, 3) in a panorama on `view`."""
-    row, column = pixels(*rays.unbind(-1), view)
+    x, y, z = rays.unbind(-1)
+    row, column = pixels(x, y, z, view)
     valid = (row >= 0) & (row <= view.rows) & (view.circular | ((column >= 0) & (column <= view.columns)))
     row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))
     return Lookup(row=row, column=column, valid=valid, circular=view.circular)
@@ -140,7 +141,7 @@ def project_to_camera(scan: Scan, calibration: Calibration, size: tuple[int, int
     xyz, remission = torch.from_numpy(scan.xyz), torch.from_numpy(scan.remission)
     usable = torch.isfinite(xyz.sum(1) + remission) & xyz.any(1)  # the sensor's origin means: no echo
     xyz, remission = xyz[usable], remission[usable]
-    u, v, _ = points_in_camera(xyz, calibration)  # NaN behind the camera, which is nowhere inside
+    u, v, _ = points_in_camera(xyz, calibration)  # NaN behind the camera: nowhere inside
     (rows, columns), (width, height) = size, calibration.size
     row, column = (((at + 0.5) * (to / of)).floor() for at, to, of in ((v, rows, height), (u, columns, width)))
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)

@@ -180,7 +180,7 @@ def _places(ends: Tensor, origin: Tensor, raster: View | Calibration) -> tuple[T
 def _unoccluded(before_m: Tensor, shift: Tensor, expected: Tensor, circular: bool, same: float) -> Tensor:
     """(H, W) bool: the previous frame shows, at the shifted place, a surface at the distance 1 / `expected`.
 
-    Compared are inverse distances, in which planes are straight: between pixels they can be looked up linearly.
+    Compared are inverse distances, linear on planes: between pixels they can be looked up linearly.
     """
     inverse_and_valid = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
     inverse, known = warp(inverse_and_valid[None], shift[None], circular=circular)[0]

@@ -133,7 +133,7 @@ class Recording:
         raise NotImplementedError
 
     def origin_ns(self, topic: Topic) -> int:  # noqa: ARG002 but of one sensor's scans
-        """Return the time from which --from and --to count, nanoseconds since the epoch."""
+        """Return the time of --from 0, nanoseconds since the epoch."""
         return self.description.first_ns
 
     def stamps_ns(self, topic: Topic) -> np.ndarray:
@@ -201,8 +201,8 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str) -> Topic:
     if topic.type in PACKETS or topic.type in COMPRESSED:
         raise InputError(_undecoded(path, topic))
     if topic.type not in CLOUDS:
-        those = f"--topic can be {_listed(clouds)}" if clouds else "it has no topic of points"
-        raise InputError(f"{path}: topic {topic.name} holds {topic.type}, not points; {those}")
+        choice = f"--topic can be {_listed(clouds)}" if clouds else "it has no topic of points"
+        raise InputError(f"{path}: topic {topic.name} holds {topic.type}, not points; {choice}")
     if not topic.count:
         raise InputError(f"{path}: topic {topic.name} holds no message; record it again")
     return topic

@@ -25,8 +25,8 @@ def join_topics(recording: Recording, topic: str) -> Recording:
     The recording is closed where this fails.
     """
     topics = recording.description.topics
-    clouds = [each for each in topics if each.type in CLOUDS and each.type not in (VELODYNE, OUSTER) and each.count]
-    if topic != ALL or not clouds or any(each.name.strip("/") == ALL for each in topics):
+    clouds = [held for held in topics if held.type in CLOUDS and held.type not in (VELODYNE, OUSTER) and held.count]
+    if topic != ALL or not clouds or any(held.name.strip("/") == ALL for held in topics):
         return recording
     try:
         return JoinedRecording(recording, clouds)

@@ -87,7 +87,7 @@ class Table(NamedTuple):
 
 
 class Stream(NamedTuple):
-    """The scans of a sensor: its topic, optics and the columns by which its rows are shifted in a PNG."""
+    """The scans of a sensor: its topic, optics and the shifts of its rows in a PNG, columns."""
 
     topic: Topic
     optics: Optics

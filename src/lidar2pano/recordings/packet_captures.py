@@ -62,11 +62,11 @@ class PacketCapture(SensorRecording):
     def choose(self, topic: str) -> Topic:
         """Return the topic of a Velodyne, or of an Ouster, whose .json is beside the capture; InputError without."""
         topics = self.description.topics
-        if any(each.type == VELODYNE for each in topics):
+        if VELODYNE in {stream.type for stream in topics}:
             return super().choose(topic)
         if metadata_files(self.path):
             return Topic(name=topic, type=OUSTER, count=0)
-        sizes = ", ".join(f"{each.count} of {each.name}" for each in topics[:MOST_NAMED])
+        sizes = ", ".join(f"{stream.count} of {stream.name}" for stream in topics[:MOST_NAMED])
         raise InputError(
             f"{self.path}: holds packets of another sensor ({sizes}); Velodyne's are decoded, and Ouster's with their"
             " .json beside them; record points instead (a bag, PCD)"

@@ -73,8 +73,8 @@ def camera_topics(path: Path, topics: Sequence[Topic], names: Sequence[str]) -> 
     if names:
         by_name = {image.name.strip("/"): (image, info) for image, info in pairs}
         if missing := [name for name in names if name.strip("/") not in by_name]:
-            known = closest(missing[0].strip("/"), by_name) or "; it has none"
-            raise InputError(f"{path}: --cameras: has no images on topic {missing[0]!r}{known}")
+            hint = closest(missing[0].strip("/"), by_name) or "; it has none"
+            raise InputError(f"{path}: --cameras: has no images on topic {missing[0]!r}{hint}")
         return [by_name[name.strip("/")] for name in names]
     best: dict[str, tuple[Topic, Topic | None]] = {}
     for image, info in sorted(pairs, key=lambda pair: _rank(pair[0])):
@@ -129,8 +129,8 @@ class ImagePlayback:
         """Yield topic, time and content of images, from a little before a time on if the clocks allow it."""
         recording, start_ns = self._recording, round((stamp_s - 2 * REACH_S) * 1e9)
         about = recording.description
-        within = about.first_ns <= start_ns <= about.last_ns
-        for raw in recording.messages(tuple(image for image, _ in self._pairs), start_ns if within else None):
+        is_within = about.first_ns <= start_ns <= about.last_ns
+        for raw in recording.messages(tuple(image for image, _ in self._pairs), start_ns if is_within else None):
             with damage(self.path, MEND):
                 content = recording.decode(raw)
             yield raw.topic.name, stamp_seconds(content.header) or raw.stamp_ns * 1e-9, content
@@ -218,8 +218,8 @@ def pixels(content: Any, topic: str) -> np.ndarray:  # noqa: ANN401
         return decode_image(io.BytesIO(data.tobytes()), f"an image of {topic}", "RGB")
     encoding, height, width = content.encoding, int(content.height), int(content.width)
     if encoding not in PLAIN and encoding not in BAYER:
-        known = ", ".join((*PLAIN, *BAYER))
-        raise InputError(f"its images have the encoding {encoding!r}, which is not read; record one of {known}")
+        encodings = ", ".join((*PLAIN, *BAYER))
+        raise InputError(f"its images have the encoding {encoding!r}, which is not read; record one of {encodings}")
     channels, order = PLAIN.get(encoding, (1, (0, 0, 0)))
     rows = data[: height * content.step].reshape(height, content.step)[:, : width * channels]
     image = rows.reshape(height, width, channels)

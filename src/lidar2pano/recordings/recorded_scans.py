@@ -81,7 +81,7 @@ class RecordingReader:
     """Reader of a format for a drive in a file or folder.
 
     accepts  (first bytes, path) -> whether the file is of this format.
-    opens    path -> the open recording;  packed: by gzip or zstd as a whole, of which an unpacked copy is opened.
+    opens    path -> the open recording;  packed: by gzip or zstd as a whole; a copy is opened.
     """
 
     name: str
@@ -160,8 +160,8 @@ def describe(path: Path) -> Description | None:
 def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     """Yield the selected scans of a recording in time; InputError for a damaged one, and without any.
 
-    Scans without points before the first one with some are passed over, which is a doubt about that one: drivers send
-    them before their sensor turns. If there are no others, they fail.
+    Scans without points before the first one with some are passed over and are its doubt: drivers send them before
+    their sensor turns. If there are no others, they fail.
     """
     empty: list[Frame] | None = []
     for frame in _all_frames(path, options):

@@ -38,7 +38,7 @@ def recorded_motion(
     None if nothing in the recording tells how the frame moves. Raises InputError at damage.
     """
     topics = recording.description.topics
-    moving = tuple(each for each in topics if each.type in (*TF_TYPES, ODOMETRY) and not _is_static(each))
+    moving = tuple(topic for topic in topics if topic.type in (*TF_TYPES, ODOMETRY) and not _is_static(topic))
     if not any(topic.count for topic in moving):
         return None
     links, odometry = _Rows(), defaultdict[str, _Rows](_Rows)
