@@ -97,6 +97,12 @@ def test_a_steady_recording_gives_the_panoramas_of_the_folder(tmp_path, translat
     assert (wanted / "steady" / "000008.png").read_bytes() != (wanted / "plain" / "000008.png").read_bytes()
 
 
+def test_files_named_one_by_one_are_chosen_as_those_of_a_folder(tmp_path, translate):
+    files = sorted(write_folder(tmp_path).iterdir())[:5]
+    assert translate(*files, "--every", 2, "--out", tmp_path / "o")[0] == 0
+    assert {image.name for image in (tmp_path / "o").glob("*.png")} == {"000000.png", "000002.png", "000004.png"}
+
+
 def test_without_poses_they_are_estimated(tmp_path, translate):
     pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP")
     folder = write_folder(tmp_path)

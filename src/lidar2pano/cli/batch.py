@@ -38,6 +38,7 @@ from lidar2pano.models.stream_painter import check_quality
 from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
+from lidar2pano.recordings.recorded_scans import recording_reader
 from lidar2pano.translation import Translation, Translator, translate
 from lidar2pano.viewer.outputs import Output, OutputFiles
 from lidar2pano.viewer.page import title_of
@@ -130,12 +131,19 @@ def open_page(path: Path | None, code: int) -> int:
 
 
 def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], bool]:
-    """Return the scan files and recordings of paths, each once; and whether a path was reported as unusable."""
+    """Return the scan files and recordings of paths, each once; and whether a path was reported as unusable.
+
+    Of scan files that are named one by one, as by a shell's *.bin, one of --every counts, as in a folder.
+    """
     files: dict[Path, Path] = {}
-    failed = False
+    failed, single = False, 0
     for path in sort_listed(list(paths)):
         try:
             chosen = drive_files(path, options.reading.selection)
+            if chosen == [path] and recording_reader(path) is None:
+                single += 1
+                if (single - 1) % options.reading.selection.every:
+                    continue
             for file in chosen:
                 files.setdefault(file.resolve(), file)
             if chosen != [path] and (note := left_out(path, (file.relative_to(path).as_posix() for file in chosen))):
