@@ -45,37 +45,28 @@ Pose = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Echoes:
-    """Echoes of N pulses.
+    """Echoes of the N pulses of a turn that the recording car does not occlude, firing by firing.
 
+    live    (firings x beams,) bool: which of all pulses these are.
     hits    in the world frame;  start, direction: (N, 3) in the sensor frame at time 0;  frame: T_world_lidar then.
-    ring    (N,) uint8;  facing: (N,) float32 cosine of the angle of incidence.
+    ring    (N,) uint8;  time: (N,) seconds, ascending;  facing: (N,) float32 cosine of the angle of incidence.
     """
 
+    live: np.ndarray
     hits: Hits
     start: np.ndarray
     direction: np.ndarray
     ring: np.ndarray
+    time: np.ndarray
     facing: np.ndarray
     frame: np.ndarray
 
-    def within(self, mask: np.ndarray) -> Echoes:
-        """The echoes with hits outside of `mask` (N,) bool at one metre: their values are not used."""
-        near = np.where(mask, self.hits.distance, np.float32(1))
-        return replace(self, hits=replace(self.hits, distance=near))
-
-    def subset(self, indices: np.ndarray) -> Echoes:
-        """Some echoes, by index."""
-        arrays = {name: getattr(self, name)[indices] for name in ("start", "direction", "ring", "facing")}
-        return Echoes(hits=self.hits.subset(indices), frame=self.frame, **arrays)
-
-    def positions(self) -> np.ndarray:
-        """Positions of the hits (N, 3): in the world frame, on moving objects on their own surface."""
+    def positions(self, of: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Positions of the hits (N, 3), or `of` some: in the world frame, on moving objects on their own surface."""
         turn, position = as_float(self.frame[:3, :3].T), as_float(self.frame[:3, 3])
-        where = (self.start + self.direction * self.hits.distance[:, None]) @ turn + position
-        if self.hits.moving.any():
-            own = np.concatenate([self.hits.uv, self.hits.uv[:, :1]], axis=1)
-            where = np.where(self.hits.moving[:, None], own, where)
-        return where
+        where = (self.start[of] + self.direction[of] * self.hits.distance[of, None]) @ turn + position
+        uv = self.hits.uv[of]
+        return np.where(self.hits.moving[of, None], np.concatenate([uv, uv[:, :1]], axis=1), where)
 
 
 def as_float(values: np.ndarray) -> np.ndarray:
@@ -83,9 +74,9 @@ def as_float(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32)
 
 
-def noisy_range(sensor: SensorModel, echoes: Echoes, live: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def noisy_range(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator) -> np.ndarray:
     """Ranges (N,) with noise of the shot, bias of the beam, roughness of the surface, and mixed returns at edges."""
-    true = _mixed_returns(echoes.hits.distance, len(sensor), live, rng)
+    true = _mixed_returns(echoes.hits.distance, len(sensor), echoes.live, rng)
     noise = rng.standard_normal(len(true), dtype=np.float32)
     # Weak echoes are noisier: 1.3 times at 25 m and 1.9 times at 40 m in real scans.
     sigma = sensor.range_noise * np.sqrt(1 + (np.minimum(true, sensor.max_range) / 30) ** 3)
@@ -126,18 +117,16 @@ def lost(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator) -> np.nd
     kept *= np.clip(0.5 + 0.25 * np.log(np.maximum(power, 1e-9) / GRAZE), 0, 1)
     draw = rng.random(len(kept), dtype=np.float32)
     patchy = np.flatnonzero(_DROPOUT[material] > PATCHY)
-    draw[patchy] = _EVEN[_spatial_hash(echoes.subset(patchy).positions(), PATCH)]
+    draw[patchy] = _EVEN[_spatial_hash(echoes.positions(patchy), PATCH)]
     return draw >= kept
 
 
-def remission(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator | None) -> np.ndarray:
-    """Remission (N,) of returns; without `rng`: of a perfect sensor."""
+def remission(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator) -> np.ndarray:
+    """Remission (N,) of returns."""
     hits, material = echoes.hits, echoes.hits.material
     bright = _REMISSION[material] * echoes.facing ** _MIRROR[material]
     tinted = np.flatnonzero(_TINTED[material])
     bright[tinted] *= np.clip(hits.tint[tinted].mean(axis=1), 0.01, 1.6) ** DYE
-    if rng is None:
-        return np.clip(np.maximum(bright, _RETRO[material]) * sensor.remission_scale, 0, 1)
     positions, varied = echoes.positions(), np.zeros(len(bright), dtype=np.float32)
     for cell, weight in ANCHORS:
         varied += np.float32(weight) * _NORMAL[_spatial_hash(positions, cell)]
@@ -177,40 +166,19 @@ class Sweep:
     ring: np.ndarray
     time: np.ndarray
 
-    def __len__(self) -> int:
-        """Number of returns."""
-        return len(self.points)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rays:
-    """All pulses of a turn, firing by firing: N = K x B.
-
-    start, direction  (N, 3) float32 in the sensor frame at time 0.
-    time  (K,) seconds, ascending.
-    live  (N,) bool: not occluded by the recording car.
-    """
-
-    start: np.ndarray
-    direction: np.ndarray
-    time: np.ndarray
-    live: np.ndarray
-
-
-def sweep(scene: Scene, sensor: SensorModel, pose: Pose, rng: np.random.Generator, *, clean: bool = False) -> Sweep:
+def sweep(scene: Scene, sensor: SensorModel, pose: Pose, rng: np.random.Generator) -> Sweep:
     """One turn of `sensor` around time 0, when it points straight ahead; points are compensated for its motion.
 
-    scene    its moving objects are where the turn passes them (`passing_time`).
-    clean    without noise, lost returns and occlusion by the recording car.
+    The moving objects of `scene` are where the turn passes them (`passing_time`).
     """
-    frame = pose(np.zeros(1))[0]
-    rays = _rays(sensor, pose, rng, clean)
-    echoes = _cast(scene, rays, frame, None if clean else rng)
-    distance = echoes.hits.distance if clean else noisy_range(sensor, echoes, rays.live, rng)
+    echoes = _echoes(scene, sensor, pose, rng)
+    distance = noisy_range(sensor, echoes, rng)
     valid = echoes.hits.valid & (distance >= sensor.min_range) & (distance < sensor.max_range)
-    if not clean:
-        valid &= ~lost(sensor, echoes, rng)
-    bright = remission(sensor, echoes.within(valid), None if clean else rng)
+    valid &= ~lost(sensor, echoes, rng)
+    # The values of the others are not used: at one metre they are finite.
+    near = replace(echoes.hits, distance=np.where(valid, echoes.hits.distance, np.float32(1)))
+    bright = remission(sensor, replace(echoes, hits=near), rng)
     kept = np.flatnonzero(valid)
     points = np.empty((len(kept), 4), dtype=np.float32)
     points[:, :3] = echoes.start[kept] + echoes.direction[kept] * distance[kept, None]
@@ -223,7 +191,7 @@ def sweep(scene: Scene, sensor: SensorModel, pose: Pose, rng: np.random.Generato
         raw=echoes.hits.raw[kept],
         instance=echoes.hits.instance[kept],
         ring=echoes.ring[kept],
-        time=np.repeat(rays.time.astype(np.float32), len(sensor))[rays.live][kept],
+        time=as_float(echoes.time[kept]),
     )
 
 
@@ -236,40 +204,44 @@ def passing_time(sensor: SensorModel, T_world_lidar: np.ndarray, positions: np.n
     return sensor.rotation * np.arctan2(near[:, 1], near[:, 0]) / (2 * np.pi * sensor.hz)
 
 
-def _rays(sensor: SensorModel, pose: Pose, rng: np.random.Generator, clean: bool) -> _Rays:
-    """Origins and directions of the pulses."""
+def _echoes(scene: Scene, sensor: SensorModel, pose: Pose, rng: np.random.Generator) -> Echoes:
+    """Hits of the pulses of a turn."""
     turn = (np.arange(sensor.firings) + rng.random()) / sensor.firings - 0.5  # share of a turn after pointing ahead
     azimuth = sensor.rotation * FULL_TURN * turn
     if sensor.encoder_step:
         azimuth = np.round(azimuth / sensor.encoder_step) * sensor.encoder_step
-    time = turn / sensor.hz
-    T_now_firing = np.linalg.inv(pose(np.zeros(1))[0]) @ pose(time)  # (K, 4, 4)
+    time, frame = turn / sensor.hz, pose(np.zeros(1))[0]
+    T_now_firing = np.linalg.inv(frame) @ pose(time)  # (firings, 4, 4)
     c, s, zero = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth)), np.zeros(sensor.firings)
     head = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], axis=1).reshape(-1, 3, 3)
     turned = T_now_firing[:, :3, :3] @ head
     elevation, aside = np.radians(sensor.elevation), np.radians(sensor.per_beam("azimuth"))
     beam = np.stack([np.cos(elevation) * np.cos(aside), np.cos(elevation) * np.sin(aside), np.sin(elevation)])
     origin = np.stack([np.zeros(len(sensor)), sensor.per_beam("origin_left"), sensor.per_beam("origin_up")])
-    direction = (turned @ beam).transpose(0, 2, 1).reshape(-1, 3)
-    start = (turned @ origin + T_now_firing[:, :3, 3:]).transpose(0, 2, 1).reshape(-1, 3)
     cell = (((azimuth % FULL_TURN) / BLIND_CELL).astype(np.int64)) % round(FULL_TURN / BLIND_CELL)
-    shade = blind_table(sensor).T[cell].reshape(-1)
-    return _Rays(
-        start=start.astype(np.float32),
-        direction=direction.astype(np.float32),
-        time=time,
-        live=np.ones_like(shade) if clean else ~shade,
+    live = ~blind_table(sensor).T[cell].reshape(-1)
+    direction = as_float((turned @ beam).transpose(0, 2, 1).reshape(-1, 3))[live]
+    start = as_float((turned @ origin + T_now_firing[:, :3, 3:]).transpose(0, 2, 1).reshape(-1, 3))[live]
+    toward = direction @ as_float(frame[:3, :3].T)
+    hits = _first_hits(scene, start @ as_float(frame[:3, :3].T) + as_float(frame[:3, 3]), toward, rng)
+    return Echoes(
+        live=live,
+        hits=hits,
+        start=start,
+        direction=direction,
+        ring=np.tile(np.arange(len(sensor), dtype=np.uint8), len(time))[live],
+        time=np.repeat(time, len(sensor))[live],
+        facing=np.abs(np.einsum("ij,ij->i", hits.face_normal, toward)),
+        frame=frame,
     )
 
 
-def _first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, rng: np.random.Generator | None) -> Hits:
+def _first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, rng: np.random.Generator) -> Hits:
     """Hits of N pulses; some pass the first leaf.
 
     Otherwise crowns and hedges are closed surfaces, walls to a network trained on real scans.
     """
     hits = scene.cast(origin, direction, flat=True)
-    if rng is None:
-        return hits
     leafy = np.flatnonzero(_LEAFY[hits.material] & hits.valid)
     leafy = leafy[rng.random(len(leafy), dtype=np.float32) < DEEPER]
     gone = hits.distance[leafy] + np.float32(BEHIND)
@@ -279,18 +251,6 @@ def _first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, rng: np
         getattr(hits, part.name)[leafy[met]] = getattr(behind, part.name)[met]
     hits.distance[leafy[met]] += gone[met]
     return hits
-
-
-def _cast(scene: Scene, rays: _Rays, frame: np.ndarray, rng: np.random.Generator | None) -> Echoes:
-    """Hits of the live pulses."""
-    turn, place = as_float(frame[:3, :3].T), as_float(frame[:3, 3])
-    beams = len(rays.live) // len(rays.time)
-    start, direction = rays.start[rays.live], rays.direction[rays.live]
-    toward = direction @ turn
-    hits = _first_hits(scene, start @ turn + place, toward, rng)
-    ring = np.tile(np.arange(beams, dtype=np.uint8), len(rays.time))[rays.live]
-    facing = np.abs(np.einsum("ij,ij->i", hits.face_normal, toward))
-    return Echoes(hits=hits, start=start, direction=direction, ring=ring, facing=facing, frame=frame)
 
 
 def _kitti_order(xyz: np.ndarray, ring: np.ndarray) -> np.ndarray:

@@ -56,12 +56,6 @@ class SensorModel:
     blind_sectors: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
     point_order: Literal["rings", "columns"] = "columns"
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for tables without one number per beam."""
-        for name in PER_BEAM:
-            if len(getattr(self, name)) not in {0, len(self.elevation)}:
-                raise ValueError(f"Sensor.{name} needs {len(self.elevation)} numbers, one per beam")
-
     def __len__(self) -> int:
         """Number of beams."""
         return len(self.elevation)
@@ -72,7 +66,6 @@ class SensorModel:
         return np.array(values) if values else np.zeros(len(self))
 
 
-PER_BEAM = ("azimuth", "origin_up", "origin_left", "range_bias", "dropout", "dark_offset", "bright_offset")
 BLIND_CELL = 0.5  # degrees: cells of the table of occluded directions
 
 
