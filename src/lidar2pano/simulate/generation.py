@@ -157,10 +157,10 @@ class SequenceWriter:
         scene, pose = self.world.scene_at(self.scene(frame), time), self.poses(np.array([time]))[0]
         light = look(self.settings.look, self.seed)
         if "camera" in self.settings.save:
-            yield "camera", render(scene, *pinhole(recording_camera(), pose), light, seed=frame)
+            yield "camera", render(scene, pinhole(recording_camera(), pose), light, seed=frame)
         if "panorama" in self.settings.save:
             for view in self.settings.views:
-                yield view, render(scene, *cylinder(panorama_view(view), pose), light, seed=frame)
+                yield view, render(scene, cylinder(panorama_view(view), pose), light, seed=frame)
 
     def write(self, frame: int) -> None:
         """Write the files of a frame."""

@@ -164,7 +164,7 @@ def test_car_paint_mirrors_sky_and_things():
 
 def test_a_pinhole_looks_where_the_calibration_says():
     camera_, T = calibration(), pose(3, -2, 0.7)
-    origin, ray, angle = camera.pinhole(camera_, T)
+    origin, ray, angle, _ = camera.pinhole(camera_, T)
     assert ray.shape == (60, 120, 3) and angle == 1 / 90
     places = origin + 7.5 * ray.reshape(-1, 3)
     lidar = (np.linalg.inv(T) @ np.column_stack([places, np.ones(len(places))]).T)[:3]
@@ -175,7 +175,7 @@ def test_a_pinhole_looks_where_the_calibration_says():
 
 def test_a_cylinder_looks_where_the_projection_says():
     T = pose(3, -2, 0.7)
-    origin, ray, _ = camera.cylinder(VIEW, T)
+    origin, ray, *_ = camera.cylinder(VIEW, T)
     lidar = torch.from_numpy(ray.reshape(-1, 3).astype(np.float64) @ T[:3, :3])
     row, column = pixels(*lidar.unbind(1), VIEW)
     i, j = np.mgrid[0:40, 0:240] + 0.5
@@ -185,7 +185,7 @@ def test_a_cylinder_looks_where_the_projection_says():
 
 def test_an_image_has_object_types_and_distances():
     scene, T = street(), pose()
-    rendered = camera.render(scene, *camera.cylinder(VIEW, T), look("day"))
+    rendered = camera.render(scene, camera.cylinder(VIEW, T), look("day"))
     hits = scene.cast(*(part.reshape(-1, 3)[:, :] if part.ndim > 1 else part for part in camera.cylinder(VIEW, T)[:2]))
     assert rendered.image.shape == (40, 240, 3) and rendered.image.dtype == np.uint8
     assert np.array_equal(rendered.object_type.reshape(-1), hits.object_type) and np.array_equal(
@@ -204,8 +204,8 @@ def test_an_image_has_object_types_and_distances():
 
 def test_the_same_call_gives_the_same_bytes():
     scene, rays, light = street(), camera.cylinder(VIEW, pose()), look("day")
-    first, again = (camera.render(scene, *rays, light) for _ in range(2))
-    other = camera.render(scene, *rays, light, seed=1)
+    first, again = (camera.render(scene, rays, light) for _ in range(2))
+    other = camera.render(scene, rays, light, seed=1)
     assert np.array_equal(first.image, again.image)
     assert not np.array_equal(first.image, other.image)  # the sensor's noise alone
     assert np.abs(first.image.astype(int) - other.image).max() < 25
@@ -224,7 +224,7 @@ def test_numbers_fit_the_arrays_that_they_go_into(monkeypatch):
     monkeypatch.setattr(np, "where", strict)
     with pytest.raises(OverflowError):
         np.where([True], np.zeros(1, np.uint8), -1)
-    assert camera.render(street(), *camera.cylinder(VIEW, pose()), look("day")).image.any()
+    assert camera.render(street(), camera.cylinder(VIEW, pose()), look("day")).image.any()
 
 
 @pytest.mark.parametrize("shift", [2, 80])
@@ -236,7 +236,7 @@ def test_a_panorama_has_no_seam(shift, monkeypatch):
     step = 360 / VIEW.columns
     turned = replace(VIEW, left=VIEW.left - shift * step, right=VIEW.right - shift * step)
     one, other = (
-        camera.render(scene, *camera.cylinder(view, pose()), light).image.astype(float) for view in (VIEW, turned)
+        camera.render(scene, camera.cylinder(view, pose()), light).image.astype(float) for view in (VIEW, turned)
     )
     off = np.abs(np.roll(one, -shift, axis=1) - other)
     assert off.mean() < 0.04  # rounding may move a ray over an edge now and then
@@ -251,9 +251,9 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
         look("day", 2),
     )
     view = replace(VIEW, rows=120, columns=600, down=-0.9)
-    first = camera.render(scene, *camera.cylinder(view, pose()), light)
-    second = camera.render(scene, *camera.cylinder(view, pose(x=1.0)), light)
-    origin, ray, _ = camera.cylinder(view, pose())
+    first = camera.render(scene, camera.cylinder(view, pose()), light)
+    second = camera.render(scene, camera.cylinder(view, pose(x=1.0)), light)
+    origin, ray, *_ = camera.cylinder(view, pose())
     visible = np.isfinite(first.distance) & (first.distance < 25) & (first.object_type != OBJECT_TYPE_IDS["car"])
     away = torch.from_numpy(
         origin + ray[visible] * first.distance[visible, None] - camera.cylinder(view, pose(x=1.0))[0]
@@ -280,7 +280,7 @@ def test_overcast_days_have_no_shadows():
 def test_half_the_sky_is_hidden_at_the_foot_of_a_wall():
     scene = Scene([ground(), SceneObject(mesh=box((3.5, 0, 10), (1, 40, 20), "plaster", "building"))])
     view = replace(VIEW, rows=100, columns=500, down=-0.9)
-    origin, ray, _ = camera.cylinder(view, pose())
+    origin, ray, *_ = camera.cylinder(view, pose())
     hits = scene.cast(origin, ray.reshape(-1, 3))
     surfaces = shading.gbuffer(hits, origin, ray)
     free = shading.sky_visibility(scene, hits, surfaces, True)
@@ -309,7 +309,7 @@ def test_autumn_turns_leaves_and_strews_them():
 
 
 def test_nothing_at_all_is_sky():
-    rendered = camera.render(Scene([]), *camera.cylinder(VIEW, pose()), look("evening"))
+    rendered = camera.render(Scene([]), camera.cylinder(VIEW, pose()), look("evening"))
     assert (rendered.object_type == SKY).all() and np.isinf(rendered.distance).all()
     assert rendered.image.mean() > 30
 

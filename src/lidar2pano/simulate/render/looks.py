@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
@@ -36,7 +35,6 @@ class Look:
     saturation       1 leaves colours unchanged.
     """
 
-    name: str
     sun_direction: Colour
     sun_colour: Colour
     sun_radius_deg: float
@@ -55,67 +53,49 @@ class Look:
 
 
 SAMPLED = ("elevation", "azimuth", "cloud_cover", "haze_m", "autumn_foliage", "leaf_litter", "stops")
+LOOKS: dict[str, dict[str, Any]] = {  # of SAMPLED values a pair is a range, more are alternatives; degrees
+    "day": {
+        "elevation": (35, 60), "sun_colour": (1.0, 0.94, 0.84), "sun_radius_deg": 0.25, "glow": (0.7, 0.66, 0.57),
+        "cloud_cover": (0.05, 0.2, 0.4, 0.6), "cloud_radiance": (0.56, 0.575, 0.59), "haze_m": (2500, 8000),
+        "exposure": 1.85, "stops": (-0.45, 0.35), "white_balance": (1.0, 1.0, 0.96),
+    },
+    "overcast": {
+        "elevation": 55, "sun_colour": (0.0, 0.0, 0.0), "sun_radius_deg": 10.0, "zenith": (0.50, 0.52, 0.54),
+        "horizon": (0.36, 0.38, 0.40), "glow": (0.08, 0.08, 0.08), "cloud_cover": 1.0,
+        "cloud_radiance": (0.46, 0.475, 0.49), "haze_m": (900, 3000), "exposure": 2.3, "stops": (-0.25, 0.25),
+        "white_balance": (0.99, 1.0, 0.97),
+    },
+    "evening": {
+        "elevation": (7, 16), "sun_colour": (0.78, 0.50, 0.26), "sun_radius_deg": 0.3, "zenith": (0.10, 0.14, 0.22),
+        "horizon": (0.46, 0.36, 0.28), "glow": (0.9, 0.55, 0.25), "cloud_cover": (0.1, 0.6),
+        "cloud_radiance": (0.46, 0.37, 0.33), "haze_m": (1200, 4000), "exposure": 2.9, "stops": (-0.3, 0.3),
+        "white_balance": (1.0, 1.0, 1.02), "saturation": 0.9,
+    },
+    "autumn": {
+        "elevation": (22, 38), "sun_colour": (0.74, 0.64, 0.50), "sun_radius_deg": 0.35, "zenith": (0.17, 0.21, 0.27),
+        "horizon": (0.45, 0.46, 0.46), "glow": (0.6, 0.52, 0.4), "cloud_cover": (0.3, 0.8),
+        "cloud_radiance": (0.58, 0.57, 0.56), "haze_m": (500, 1800), "autumn_foliage": (0.6, 0.95),
+        "leaf_litter": (0.3, 0.8), "exposure": 2.0, "stops": (-0.25, 0.25), "saturation": 0.9,
+    },
+}  # fmt: skip
 
 
 def look(name: str, seed: int = 0) -> Look:
-    """The look `name` of LOOKS with the sun, clouds and exposure of the seed; ValueError for another name."""
-    if name not in LOOKS:
-        raise ValueError(f"a look is one of {', '.join(LOOKS)}, not {name!r}")
-    return LOOKS[name](seed)
-
-
-def _drawn(rng: np.random.Generator, name: str, seed: int, **values: Any) -> Look:
-    """A look: of SAMPLED values a pair is a range, more are alternatives; elevation and azimuth in degrees."""
-    values["azimuth"] = (-180, 180)
+    """The look `name` of LOOKS with the sun, clouds and exposure of the seed."""
+    rng = stream(seed, "look", name)
+    values: dict[str, Any] = {"azimuth": (-180, 180)} | LOOKS[name]
+    if name == "day":
+        white = rng.uniform()  # haze: from a blue to a white sky
+        values["zenith"] = (0.035 + 0.06 * white, 0.10 + 0.06 * white, 0.24 + 0.02 * white)
+        values["horizon"] = (0.36 + 0.34 * white, 0.48 + 0.27 * white, 0.56 + 0.22 * white)
     for key in SAMPLED:
         if isinstance(choices := values.get(key), tuple):
             values[key] = float(rng.uniform(*choices) if len(choices) == 2 else rng.choice(choices))
     values["exposure"] *= 2 ** values.pop("stops")
     e, a = np.radians(values.pop("elevation")), np.radians(values.pop("azimuth"))
     sun = float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e))
-    return Look(name=name, sun_direction=sun, cloud_seed=seed, **values)
+    return Look(sun_direction=sun, cloud_seed=seed, **values)
 
-
-def _day(seed: int) -> Look:
-    rng = stream(seed, "look", "day")
-    white = rng.uniform()  # haze: from a blue to a white sky
-    return _drawn(
-        rng, "day", seed, elevation=(35, 60), sun_colour=(1.0, 0.94, 0.84), sun_radius_deg=0.25,
-        zenith=(0.035 + 0.06 * white, 0.10 + 0.06 * white, 0.24 + 0.02 * white),
-        horizon=(0.36 + 0.34 * white, 0.48 + 0.27 * white, 0.56 + 0.22 * white), glow=(0.7, 0.66, 0.57),
-        cloud_cover=(0.05, 0.2, 0.4, 0.6), cloud_radiance=(0.56, 0.575, 0.59), haze_m=(2500, 8000), exposure=1.85,
-        stops=(-0.45, 0.35), white_balance=(1.0, 1.0, 0.96),
-    )  # fmt: skip
-
-
-def _overcast(seed: int) -> Look:
-    return _drawn(
-        stream(seed, "look", "overcast"), "overcast", seed, elevation=55, sun_colour=(0.0, 0.0, 0.0),
-        sun_radius_deg=10.0, zenith=(0.50, 0.52, 0.54), horizon=(0.36, 0.38, 0.40), glow=(0.08, 0.08, 0.08),
-        cloud_cover=1.0, cloud_radiance=(0.46, 0.475, 0.49), haze_m=(900, 3000), exposure=2.3, stops=(-0.25, 0.25),
-        white_balance=(0.99, 1.0, 0.97),
-    )  # fmt: skip
-
-
-def _evening(seed: int) -> Look:
-    return _drawn(
-        stream(seed, "look", "evening"), "evening", seed, elevation=(7, 16), sun_colour=(0.78, 0.50, 0.26),
-        sun_radius_deg=0.3, zenith=(0.10, 0.14, 0.22), horizon=(0.46, 0.36, 0.28), glow=(0.9, 0.55, 0.25),
-        cloud_cover=(0.1, 0.6), cloud_radiance=(0.46, 0.37, 0.33), haze_m=(1200, 4000), exposure=2.9, stops=(-0.3, 0.3),
-        white_balance=(1.0, 1.0, 1.02), saturation=0.9,
-    )  # fmt: skip
-
-
-def _autumn(seed: int) -> Look:
-    return _drawn(
-        stream(seed, "look", "autumn"), "autumn", seed, elevation=(22, 38), sun_colour=(0.74, 0.64, 0.50),
-        sun_radius_deg=0.35, zenith=(0.17, 0.21, 0.27), horizon=(0.45, 0.46, 0.46), glow=(0.6, 0.52, 0.4),
-        cloud_cover=(0.3, 0.8), cloud_radiance=(0.58, 0.57, 0.56), haze_m=(500, 1800), autumn_foliage=(0.6, 0.95),
-        leaf_litter=(0.3, 0.8), exposure=2.0, stops=(-0.25, 0.25), saturation=0.9,
-    )  # fmt: skip
-
-
-LOOKS: dict[str, Callable[[int], Look]] = {"day": _day, "overcast": _overcast, "evening": _evening, "autumn": _autumn}
 
 # Autumn colours of broad leaves, linear RGB albedo: dull green, yellow, orange, red-brown, brown.
 _AUTUMN = np.array(
@@ -177,7 +157,10 @@ class Sky:
         upwards = self._above(_dome()[:, _dome()[2] > 0], disc=False)
         mean = 2 * (upwards * _dome()[2, _dome()[2] > 0]).mean(axis=1, keepdims=True)
         self.ground = _as_column(GROUND) * (mean + 0.7 * _as_column(look.sun_colour) * max(look.sun_direction[2], 0.0))
-        self._harmonics = self._irradiance(_dome())
+        # Irradiance as nine spherical harmonics for `_basis` of a normal (Ramamoorthi 2001).
+        share = np.repeat(np.array((1, 2 / 3, 1 / 4)), (1, 3, 5))
+        light = self.radiance(_dome(), disc=False) @ _basis(_dome()).T
+        self._harmonics = (4 * np.pi / DOME * light * share).astype(np.float32)  # (3, 9)
 
     @property
     def airlight(self) -> np.ndarray:
@@ -228,12 +211,6 @@ class Sky:
         opacity = opacity * opacity * (3 - 2 * opacity)
         brightness = 1.08 - 0.17 * np.clip(puff - edge - 0.4, -0.6, 2) + 0.04 * small
         return opacity * np.clip(height * 9 + 0.25, 0, 1), brightness
-
-    def _irradiance(self, direction: np.ndarray) -> np.ndarray:
-        """Irradiance as nine spherical harmonics (3, 9) for `_basis` of a normal (Ramamoorthi 2001)."""
-        radiance = self.radiance(direction, disc=False)
-        share = np.repeat(np.array((1, 2 / 3, 1 / 4)), (1, 3, 5))
-        return (4 * np.pi / direction.shape[1] * (radiance @ _basis(direction).T) * share).astype(np.float32)
 
 
 @lru_cache(maxsize=8)

@@ -24,7 +24,6 @@ BLUR = (0.11, 0.78, 0.11)  # kernel along rows and columns: sigma 0.5 pixels
 SATURATION = 4.0  # times white: radiance is clipped there before the blur
 SENSOR_NOISE = 1.8  # standard deviation in steps of 8 bits
 CONTRAST = 1.3  # exponent of the tone curve, as in KITTI's images
-ROWS = 32  # processed at once
 SHOULDER = 0.7  # brightness above which highlights are compressed
 
 CLOSE = 12.0  # metres within which penumbrae are several pixels wide
@@ -32,8 +31,9 @@ LEAF_CELL = 1.2  # metres within which leaves may share a shadow ray
 
 _LEAFY = np.array([bool(material.cutout) and material.transmission > 0 for material in MATERIALS.values()])
 
-Rays = tuple[np.ndarray, np.ndarray, float]
-"""origin (3,) float64 metres, directions (H, W, 3) float32 unit vectors, world frame; radians a pixel."""
+Rays = tuple[np.ndarray, np.ndarray, float, bool]
+"""origin (3,) float64 metres, directions (H, W, 3) float32 unit vectors, world frame; radians a pixel; circular: the
+last column adjoins the first, and the image has no seam."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,13 +57,13 @@ def pinhole(calibration: Calibration, T_world_lidar: np.ndarray) -> Rays:
     turn = T_world_lidar[:3, :3] @ back
     ray = np.stack([u, v, np.ones_like(u)], axis=-1) @ turn.T
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    return _origin(T_world_lidar, calibration.centre), ray.astype(np.float32), 1 / float(calibration.K[0, 0])
+    return _origin(T_world_lidar, calibration.centre), ray.astype(np.float32), 1 / float(calibration.K[0, 0]), False
 
 
 def cylinder(view: View, T_world_lidar: np.ndarray) -> Rays:
     """The rays through the pixel centres of a view, for a LiDAR at T_world_lidar (4, 4)."""
     ray = _directions(view) @ T_world_lidar[:3, :3].T
-    return _origin(T_world_lidar, view.origin), ray.astype(np.float32), 1 / view.focal_px
+    return _origin(T_world_lidar, view.origin), ray.astype(np.float32), 1 / view.focal_px, view.circular
 
 
 @lru_cache(maxsize=2)
@@ -78,15 +78,10 @@ def _origin(T_world_lidar: np.ndarray, point: tuple[float, float, float]) -> np.
     return T_world_lidar[:3, :3] @ np.asarray(point, dtype=np.float64) + T_world_lidar[:3, 3]
 
 
-def render(
-    scene: Scene, origin: np.ndarray, directions: np.ndarray, pixel_angle: float, look: Look, seed: int = 0
-) -> RenderedImage:
-    """The image of a camera along its rays (see Rays); `seed`: of the sensor noise.
-
-    An image whose last column adjoins its first is circular: it has no seam.
-    """
-    shape = directions.shape[:2]
-    circular, origin = _is_circular(directions, pixel_angle), np.asarray(origin, dtype=np.float32)
+def render(scene: Scene, rays: Rays, look: Look, seed: int = 0) -> RenderedImage:
+    """The image of a camera along its rays; `seed`: of the sensor noise."""
+    origin, directions, pixel_angle, circular = rays
+    shape, origin = directions.shape[:2], origin.astype(np.float32)
     direction = directions.reshape(-1, 3)
     hits = Hits.joined(
         [scene.cast(origin, direction[first : first + TILE]) for first in range(0, len(direction), TILE)]
@@ -112,11 +107,6 @@ def render(
         object_type=hits.object_type.reshape(shape),
         distance=hits.distance.reshape(shape),
     )
-
-
-def _is_circular(directions: np.ndarray, pixel_angle: float) -> bool:
-    gap = np.linalg.norm(directions[:, 0] - directions[:, -1], axis=1).max()
-    return bool(directions.shape[1] > 8 and gap < 1.5 * pixel_angle)
 
 
 def _sun(
@@ -194,19 +184,12 @@ def _camera_image(radiance: np.ndarray, look: Look, circular: bool, seed: int) -
     exposed = radiance * (np.float32(look.exposure) * np.asarray(look.white_balance, dtype=np.float32))
     exposed = np.pad(exposed, ((0, 0), (1, 1), (0, 0)), mode="wrap" if circular else "edge")
     exposed = np.pad(exposed, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    rng, out = stream(seed, "sensor"), np.empty(radiance.shape, dtype=np.uint8)
-    for first in range(0, len(out), ROWS):
-        rows = _srgb(_blurred(exposed[first : first + ROWS + 2]), look)
-        rows += rng.standard_normal(rows.shape, dtype=np.float32) * np.float32(SENSOR_NOISE) + np.float32(0.5)
-        out[first : first + ROWS] = np.clip(rows, 0, 255, out=rows)
-    return out
-
-
-def _blurred(exposed: np.ndarray) -> np.ndarray:
-    """Blur of the lens; the result lacks the border of one pixel of `exposed`."""
     side, middle, _ = (np.float32(weight) for weight in BLUR)
     exposed = middle * exposed[1:-1] + side * (exposed[:-2] + exposed[2:])
-    return middle * exposed[:, 1:-1] + side * (exposed[:, :-2] + exposed[:, 2:])
+    coded = _srgb(middle * exposed[:, 1:-1] + side * (exposed[:, :-2] + exposed[:, 2:]), look)
+    noise = stream(seed, "sensor").standard_normal(coded.shape, dtype=np.float32)
+    coded += noise * np.float32(SENSOR_NOISE) + np.float32(0.5)
+    return np.clip(coded, 0, 255).astype(np.uint8)
 
 
 def _srgb(exposed: np.ndarray, look: Look) -> np.ndarray:
