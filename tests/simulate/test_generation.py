@@ -270,7 +270,7 @@ class Fatal:
 
 def test_a_killed_process_is_reported_in_one_line():
     with pytest.raises(InputError, match="a process was killed"):
-        list(generation._in_parallel([Fatal()], 2))
+        list(generation._in_parallel([(Fatal(),)], 2))
 
 
 def test_workers_end_with_their_parent():

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
+from itertools import starmap
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_text, write_whole
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.markdown import front_matter
-from lidar2pano.simulate.layout.street_world import World, build_world
+from lidar2pano.simulate.layout.street_world import build_world
 from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
 from lidar2pano.simulate.scanner import Sweep, passing_time, sweep
@@ -78,19 +78,13 @@ def data_set_page(settings: WorldSettings) -> str:
     return f"{front_matter(header)}\n# A simulated world\n{CONTENT}{folders}\n{made}"
 
 
-def write_page(out: Path, settings: WorldSettings) -> None:
-    """Write the page of a world into its folder; one that is there stays, since it may be someone's own."""
-    if not (out / PAGE).exists():
-        write_text(out / PAGE, data_set_page(settings))
-
-
 class SequenceWriter:
     """One sequence: each of its files is a function of settings, sequence number and frame alone."""
 
     def __init__(self, folder: Path, settings: WorldSettings, sequence: int) -> None:
         self.folder, self.settings = folder, settings
         self.seed = int(stream(settings.seed, "sequence", sequence).integers(2**31))
-        self.world: World = build_world(self.seed, settings.frames / settings.hz, settings.place)
+        self.world = build_world(self.seed, settings.frames / settings.hz, settings.place)
         self._window: tuple[int, Scene] | None = None
 
     def files(self, frame: int) -> list[Path]:
@@ -145,11 +139,8 @@ class SequenceWriter:
             """Seconds until the turn passes a moving object."""
             return float(passing_time(sensor, pose, position[None])[0])
 
-        def pose_after(ahead: np.ndarray) -> np.ndarray:
-            return self.poses(time + ahead)
-
         scene = self.world.scene_at(self.scene(frame), time, delay)
-        return sweep(scene, sensor, pose_after, stream(self.seed, "sweep", frame))
+        return sweep(scene, sensor, lambda ahead: self.poses(time + ahead), stream(self.seed, "sweep", frame))
 
     def images(self, frame: int) -> Iterator[tuple[str, RenderedImage]]:
         """The images of a frame: "camera" and each of the views, as far as they are saved."""
@@ -197,14 +188,8 @@ def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
     return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth"))
 
 
-class FrameRange(NamedTuple):
-    """Frames [first, last) of a sequence."""
-
-    out: Path
-    settings: WorldSettings
-    sequence: int
-    first: int
-    last: int
+FrameRange = tuple[Path, WorldSettings, int, int, int]
+"""The arguments of `write_frames`."""
 
 
 def generate(out: Path, settings: WorldSettings, sequences: int, processes: int) -> Iterator[int]:
@@ -218,32 +203,30 @@ def generate(out: Path, settings: WorldSettings, sequences: int, processes: int)
     if sequences * settings.frames > MOST_FRAMES:
         raise InputError(f"--sequences x --frames must be at most {MOST_FRAMES}")
     claim_folder(out, settings)
-    write_page(out, settings)
+    if not (out / PAGE).exists():  # one that is there may be someone's own
+        write_text(out / PAGE, data_set_page(settings))
     _write_splits(out, sequences, settings.frames)
     ranges = [
-        FrameRange(out, settings, sequence, first, min(first + RANGE_LENGTH, settings.frames))
+        (out, settings, sequence, first, min(first + RANGE_LENGTH, settings.frames))
         for sequence in range(sequences)
         for first in range(0, settings.frames, RANGE_LENGTH)
     ]
-    if processes == 1:
-        yield from map(write_frames, ranges)
-        return
-    yield from _in_parallel(ranges, processes)
+    yield from starmap(write_frames, ranges) if processes == 1 else _in_parallel(ranges, processes)
 
 
 def _in_parallel(ranges: list[FrameRange], processes: int) -> Iterator[int]:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, so each takes one
-    context = get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=_end_with_parent) as pool:
-        queues = _consecutive_runs(ranges, processes)
-        running = {pool.submit(write_frames, queue.pop(0)): queue for queue in queues if queue}
+    size = -(-len(ranges) // processes)  # of runs of equal length: neighbours share a static scene
+    queues = [ranges[first : first + size] for first in range(0, len(ranges), size)]
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+        running = {pool.submit(write_frames, *queue.pop(0)): queue for queue in queues}
         try:
             while running:
                 finished, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in finished:
                     queue = running.pop(future)
                     if queue:
-                        running[pool.submit(write_frames, queue.pop(0))] = queue
+                        running[pool.submit(write_frames, *queue.pop(0))] = queue
                     yield future.result()
         except BrokenProcessPool as error:
             raise InputError(
@@ -265,20 +248,14 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _consecutive_runs(ranges: list[FrameRange], processes: int) -> list[list[FrameRange]]:
-    """The ranges in as many runs of equal length as there are processes: neighbours share a static scene."""
-    size = -(-len(ranges) // processes)
-    return [ranges[first : first + size] for first in range(0, len(ranges), size)]
-
-
-def write_frames(part: FrameRange) -> int:
-    """Write the missing frames of a range; return the number of its frames."""
-    writer = _writer(part.out, part.settings, part.sequence)
+def write_frames(out: Path, settings: WorldSettings, sequence: int, first: int, last: int) -> int:
+    """Write the missing ones of the frames [first, last) of a sequence; return the number of all."""
+    writer = _writer(out, settings, sequence)
     writer.prepare()
-    for frame in range(part.first, part.last):
+    for frame in range(first, last):
         if not all(path.is_file() for path in writer.files(frame)):
             writer.write(frame)
-    return part.last - part.first
+    return last - first
 
 
 @lru_cache(maxsize=1)
@@ -298,5 +275,4 @@ def _write_splits(out: Path, sequences: int, frames: int) -> None:
         name: [f"{sequence:02d}/{frame:06d}" for sequence in numbers for frame in range(frames)]
         for name, numbers in names.items()
     }
-    text = json.dumps(splits, indent=1) + "\n"
-    write_text(out / "splits.json", text)
+    write_text(out / "splits.json", json.dumps(splits, indent=1) + "\n")

@@ -111,5 +111,4 @@ def claim_folder(out: Path, settings: WorldSettings) -> None:
         return
     if (out / "sequences").exists():
         raise InputError(f"{out}: holds a data set that is no simulated world; choose another folder")
-    text = json.dumps(expected, indent=2) + "\n"
-    write_text(card, text)
+    write_text(card, json.dumps(expected, indent=2) + "\n")

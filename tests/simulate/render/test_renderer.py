@@ -68,11 +68,19 @@ def plain(**changes):
     return replace(look("day"), sun_colour=(1.0, 1.0, 1.0), **wanted)
 
 
+def shaded(scene, hits, origin, direction, angle, light):
+    """Radiance of hits that the whole sky reaches."""
+    visible = shading.Visibility(
+        shading.sunlit(scene, hits, origin, direction, light), np.ones(len(direction), np.float32)
+    )
+    return shading.shade(scene, hits, origin, direction, angle, light, visible)
+
+
 def looked_down_upon(scene, places, light, height=3.0):
     """Radiance (N, 3) of places (N, 2) on the ground seen from above."""
     origin = np.column_stack([places, np.full(len(places), height)]).astype(np.float32)
     direction = np.repeat(DOWN, len(places), axis=0)
-    return shading.shade(scene, scene.cast(origin, direction), origin, direction, 1e-4, light)
+    return shaded(scene, scene.cast(origin, direction), origin, direction, 1e-4, light)
 
 
 # ---- sky
@@ -134,7 +142,7 @@ def test_leaves_let_light_through_and_walls_do_not():
     scene = Scene([SceneObject(mesh=box((0, 0, 5), (30, 30, 1e-3), "leaves", "vegetation", open_sides=("bottom",)))])
     hits = scene.cast(origin, direction)
     with_sun, without = (
-        shading.shade(scene, hits, origin, direction, 1e-3, sky_of)[hits.valid].mean() for sky_of in (light, black)
+        shaded(scene, hits, origin, direction, 1e-3, sky_of)[hits.valid].mean() for sky_of in (light, black)
     )
     bounced = sky(light).ground.mean()
     assert with_sun - without == pytest.approx(np.mean(leaf.albedo) * (leaf.transmission + bounced), rel=0.15)
@@ -147,16 +155,14 @@ def test_car_paint_mirrors_sky_and_things():
     direction /= np.linalg.norm(direction)
     hits = flat.cast(origin, direction)
     dark, bright = (
-        shading.shade(flat, hits, origin, direction, 1e-3, plain(sun_direction=(0, 1.0, 0.0), horizon=(level,) * 3))[
-            0, 0
-        ]
+        shaded(flat, hits, origin, direction, 1e-3, plain(sun_direction=(0, 1.0, 0.0), horizon=(level,) * 3))[0, 0]
         for level in (0.1, 1)
     )
     assert bright > 5 * dark > 0
     light = plain(sun_direction=(0, 1.0, 0.0))
     lamp = flat.with_moving([SceneObject(mesh=box((3, 0, 1.2), (0.1, 4, 0.9), "light-red", "traffic-light"))])
-    red, _, blue = shading.shade(lamp, hits, origin, direction, 1e-3, light)[0]
-    assert red > 10 * blue and red > 5 * shading.shade(flat, hits, origin, direction, 1e-3, light)[0, 0]
+    red, _, blue = shaded(lamp, hits, origin, direction, 1e-3, light)[0]
+    assert red > 10 * blue and red > 5 * shaded(flat, hits, origin, direction, 1e-3, light)[0, 0]
 
 
 # ---- cameras

@@ -52,7 +52,21 @@ def sky_visibility(scene: Scene, hits: Hits, gbuffer: GBuffer, circular: bool) -
     half = slice(None, None, 2)
     coarse = gbuffer.part(half, half)
     coarse_hits = np.arange(len(hits.face)).reshape(shape)[half, half].reshape(-1)
-    rough = _cast(scene, hits, coarse, coarse_hits).reshape(coarse.distance.shape)
+    free = np.where(_THIN[hits.material[coarse_hits]] & hits.valid[coarse_hits], LEAFY, np.float32(1))
+    met = np.flatnonzero(hits.valid[coarse_hits] & (free == 1))
+    position, normal = (part.reshape(3, -1)[:, met] for part in coarse[:2])
+    face_normal = np.ascontiguousarray(hits.face_normal[coarse_hits[met]].T, dtype=np.float32)
+    height = 2 * spatial_hash(position, OCCLUSION_CELL, 11) - 1
+    turn = np.float32(2 * np.pi) * spatial_hash(position, OCCLUSION_CELL, 12)
+    flat = np.sqrt(1 - height * height)
+    # The cosine distribution: the normal + a point on the unit sphere.
+    direction = normal + np.stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    direction -= 2 * np.minimum(_dot(direction, face_normal), 0) * face_normal
+    direction /= np.sqrt(_dot(direction, direction)) + 1e-6
+    start = position + ray_offset(hits, coarse_hits[met])
+    far = NEAR * (FAR / NEAR) ** spatial_hash(position, OCCLUSION_CELL, 13)
+    free[met] = scene.unoccluded(start.T, direction.T, far)  # 1 where a ray hits nothing, else 0
+    rough = free.reshape(coarse.distance.shape)
     return _upsampled(edge_aware_mean(rough, coarse, circular, STRIDES), gbuffer, circular)
 
 
@@ -64,28 +78,6 @@ def gbuffer(hits: Hits, origin: np.ndarray, directions: np.ndarray) -> GBuffer:
     position += np.asarray(origin, dtype=np.float32)[:, None, None]
     normal = np.ascontiguousarray(hits.normal.T).reshape(3, rows, columns)
     return GBuffer(position, normal, distance)
-
-
-def _cast(scene: Scene, hits: Hits, gbuffer: GBuffer, coarse_hits: np.ndarray) -> np.ndarray:
-    """One ray from each chosen hit (N,) float32: 1 where it hits nothing, else 0."""
-    free = np.where(_THIN[hits.material[coarse_hits]] & hits.valid[coarse_hits], LEAFY, np.float32(1))
-    met = np.flatnonzero(hits.valid[coarse_hits] & (free == 1))
-    position = gbuffer.position.reshape(3, -1)[:, met]
-    normal = gbuffer.normal.reshape(3, -1)[:, met]
-    face_normal = np.ascontiguousarray(hits.face_normal[coarse_hits[met]].T, dtype=np.float32)
-    height = 2 * spatial_hash(position, OCCLUSION_CELL, 11) - 1
-    turn = np.float32(2 * np.pi) * spatial_hash(position, OCCLUSION_CELL, 12)
-    flat = np.sqrt(1 - height * height)
-    direction = normal + np.stack(
-        [flat * np.cos(turn), flat * np.sin(turn), height]
-    )  # the cosine distribution: normal + a point on the unit sphere
-    under = np.minimum((direction * face_normal).sum(axis=0), 0)
-    direction -= 2 * under * face_normal
-    direction /= np.sqrt((direction * direction).sum(axis=0)) + 1e-6
-    start = position + face_normal * (1e-3 + 3e-5 * hits.distance[coarse_hits[met]])
-    far = NEAR * (FAR / NEAR) ** spatial_hash(position, OCCLUSION_CELL, 13)
-    free[met] = scene.unoccluded(start.T, direction.T, far)
-    return free
 
 
 def edge_aware_mean(value: np.ndarray, gbuffer: GBuffer, circular: bool, strides: tuple[int, ...]) -> np.ndarray:
@@ -115,10 +107,8 @@ def _shifted(field: np.ndarray, step: int, axis: int, circular: bool) -> np.ndar
 def _similarity(first: GBuffer, second: GBuffer) -> np.ndarray:
     """Weights in [0, 1]: close to 1 where two pixels lie on one smooth surface."""
     off = second.position - first.position
-    off = np.abs((off * first.normal).sum(axis=0))
-    level = np.clip(1 - off / (0.03 + 0.01 * first.distance), 0, 1)
-    bend = (first.normal * second.normal).sum(axis=0)
-    return level * np.clip(2 * bend - 1, 0, 1)
+    level = np.clip(1 - np.abs(_dot(off, first.normal)) / (0.03 + 0.01 * first.distance), 0, 1)
+    return level * np.clip(2 * _dot(first.normal, second.normal) - 1, 0, 1)
 
 
 def _upsampled(coarse: np.ndarray, gbuffer: GBuffer, circular: bool) -> np.ndarray:
@@ -180,31 +170,23 @@ def shade(
     direction: np.ndarray,
     pixel_angle: float,
     look: Look,
-    visibility: Visibility | None = None,
+    visibility: Visibility,
 ) -> np.ndarray:
     """Radiance (N, 3) float32, linear RGB, along rays.
 
     hits         first hits of the rays from origin (N, 3) or (3,) along unit vectors direction (N, 3).
     pixel_angle  radians between neighbouring rays: textures are averaged over it.
-    visibility   of sun and sky at the hits; None: the sun's is computed here, the sky's is 1.
+    visibility   of sun and sky at the hits.
     """
-    count = len(direction)
-    origin = np.broadcast_to(np.asarray(origin, dtype=np.float32), (count, 3))
-    if visibility is None:
-        visibility = Visibility(sunlit(scene, hits, origin, direction, look), np.ones(count, dtype=np.float32))
-    out = np.empty((count, 3), dtype=np.float32)
-    for first in range(0, count, TILE):
+    origin = np.broadcast_to(np.asarray(origin, dtype=np.float32), direction.shape)
+    out = np.empty(direction.shape, dtype=np.float32)
+    for first in range(0, len(direction), TILE):
         part = slice(first, first + TILE)
-        hit_index = np.flatnonzero(hits.valid[part])
+        some, away = (np.flatnonzero(valid) + first for valid in (hits.valid[part], ~hits.valid[part]))
         rays = np.ascontiguousarray(direction[part].T, dtype=np.float32)
-        radiance = np.empty_like(rays)
-        away = np.flatnonzero(~hits.valid[part])
-        radiance[:, away] = sky(look).radiance(rays[:, away])
-        points = _shading_points(
-            hits.subset(hit_index + first), origin[hit_index + first].T, rays[:, hit_index], pixel_angle
-        )
-        radiance[:, hit_index] = _surface(scene, points, look, visibility.subset(hit_index + first))
-        out[part] = radiance.T
+        out[away] = sky(look).radiance(rays[:, away - first]).T
+        points = _shading_points(hits.subset(some), origin[some].T, rays[:, some - first], pixel_angle)
+        out[some] = _surface(scene, points, look, visibility.subset(some)).T
     return out
 
 
