@@ -41,7 +41,6 @@ THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float
     "bus stop": (furniture.bus_stop, {"other-object", "pole", "traffic-sign"}, (1.5, 3, 2.4), (2.5, 6.5, 3.3), 800),
     "column": (furniture.advertising_column, {"other-object"}, (1, 1, 2.5), (1.7, 1.7, 4), 1200),
     "box": (furniture.junction_box, {"other-object"}, (0.3, 0.5, 0.8), (0.6, 1.8, 1.6), 200),
-    "tree": (plants.tree, {"vegetation", "trunk"}, (1.5, 1.5, 3.5), (16, 16, 19), 10000),
     **{
         f"tree {name}": (partial(plants.tree, name=name), {"vegetation", "trunk"}, (1, 1, 3), (19, 19, 24), 10000)
         for name in plants.SPECIES

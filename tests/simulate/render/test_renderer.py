@@ -36,7 +36,7 @@ def street():
     """A road, two houses, a car, a bush."""
     things = [
         box((12, 6, 3), (8, 6, 6), "plaster", "building"),
-        box((-9, -7, 2), (6, 6, 4), "brick", "building", yaw=0.3),
+        box((-9, -7, 2), (6, 6, 4), "brick", "building"),
         box((8, -3, 0.8), (4, 1.8, 1.4), "paint", "car", tint=(1.5, 0.2, 0.2)),
         mesh.merged([mesh.ellipsoid((6, 2, 0.8), (0.8, 0.8, 0.8), "hedge-core")], "vegetation"),
     ]

@@ -8,7 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, box, merged, mesh, polygons, projected_uv, tube
+from lidar2pano.simulate.scene.mesh import (
+    PLAIN,
+    Mesh,
+    Tint,
+    box,
+    merged,
+    mesh,
+    polygons,
+    projected_uv,
+    quadrilaterals,
+    tube,
+)
 from lidar2pano.simulate.scene.random_streams import pick
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS
 
@@ -109,10 +120,8 @@ class Boards:
         uv = projected_uv(points.reshape(-1, 3), np.repeat(normals, 4, axis=0)).reshape(-1, 4, 2)
         cut = np.isin(finish[board, 0], [MATERIAL_IDS[name] for name in _CUT])
         uv[cut, :, 1] = (points[cut, :, 2] - low[board][cut, None, 2]) / size[board][cut, None, 2]
-        start = 4 * np.arange(len(board))[:, None]
-        faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1)
         flat = np.repeat(normals, 4, axis=0)
-        boards = mesh(points.reshape(-1, 3), faces, "plaster", normals=flat, uv=uv.reshape(-1, 2))
+        boards = quadrilaterals(points.reshape(-1, 3), "plaster", normals=flat, uv=uv.reshape(-1, 2))
         material = np.repeat(finish[board, 0], 2).astype(np.uint8)
         return replace(boards, material=material, tint=np.repeat(finish[board, 1:], 2, axis=0).astype(np.float32))
 
@@ -170,10 +179,7 @@ def wall_with_openings(
         quads.append(((left, foot), (right, foot), (right, high_right), (left, high_left)))
     corner = np.array(quads).reshape(-1, 2)
     points = wall.at(corner[:, 0], 0.0, corner[:, 1])
-    start = 4 * np.arange(len(quads))[:, None]
-    faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
-    normals = np.tile((*wall.out, 0.0), (len(points), 1))
-    return mesh(points, faces, *finish, normals=normals)
+    return quadrilaterals(points, *finish, normals=np.tile((*wall.out, 0.0), (len(points), 1)))
 
 
 def fill_opening(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
@@ -365,25 +371,21 @@ def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: Finish) -
     parts, edges = [], {}
     for slope in slopes:
         corner = points[list(slope)]
-        fan = np.array([(0, i, i + 1) for i in range(1, len(slope) - 1)])
         along = corner[1] - corner[0]
         along /= np.linalg.norm(along)
         normal = np.cross(along, corner[-1] - corner[0])
         normal /= np.linalg.norm(normal)
         up = np.cross(normal, along)
         uv = np.stack([(corner - corner[0]) @ along, (corner - corner[0]) @ up], axis=1)
-        top = corner + (0, 0, THICK)
-        parts.append(mesh(top, fan, finish[0], finish[1], normals=np.tile(normal, (len(top), 1)), uv=uv))
-        parts.append(mesh(corner, fan[:, ::-1], "wood", normals=np.tile(-normal, (len(top), 1)), uv=uv))
+        outside, fan = np.tile(normal, (len(corner), 1)), [(0, i, i + 1) for i in range(1, len(slope) - 1)]
+        parts.append(mesh(corner + (0, 0, THICK), fan, *finish, normals=outside, uv=uv))
+        parts.append(mesh(corner, np.flip(fan, 1), "wood", normals=-outside, uv=uv))
         for pair in zip(slope, [*slope[1:], slope[0]], strict=True):
             edges[pair] = True
     rim = np.array([pair for pair in edges if pair[::-1] not in edges])
     a, b = points[rim[:, 0]], points[rim[:, 1]]
-    quads = np.stack([a, b, b + (0, 0, THICK), a + (0, 0, THICK)], axis=1).reshape(-1, 3)
-    start = 4 * np.arange(len(rim))[:, None]
-    faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1)
-    parts.append(mesh(quads, faces, "wood", (1.3, 1.25, 1.2)))
-    return merged(parts)
+    sides = np.stack([a, b, b + (0, 0, THICK), a + (0, 0, THICK)], axis=1).reshape(-1, 3)
+    return merged([*parts, quadrilaterals(sides, "wood", (1.3, 1.25, 1.2))])
 
 
 def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:

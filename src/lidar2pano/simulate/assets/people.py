@@ -98,12 +98,12 @@ def figure(human: Human, pose: Pose, object_type: str, helmet: Tint | None = Non
     return merged([*parts, *_bag(human, pose, object_type)], object_type)
 
 
-def _rings(spine: np.ndarray, wide: np.ndarray, deep: np.ndarray, columns: int = 12) -> np.ndarray:
-    """Elliptic sections (n, columns + 1, 3) around a spine (n, 3) in the plane y = const; `wide` along y."""
+def _rings(spine: np.ndarray, wide: np.ndarray, deep: np.ndarray) -> np.ndarray:
+    """Elliptic sections (n, 13, 3) around a spine (n, 3) in the plane y = const; `wide` along y."""
     way = np.gradient(spine, axis=0)
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     ahead = np.stack([way[:, 2], np.zeros(len(way)), -way[:, 0]], axis=1)
-    turn = np.linspace(0, 2 * np.pi, columns + 1)
+    turn = np.linspace(0, 2 * np.pi, 13)
     aside = np.sin(turn)[None, :, None] * wide[:, None, None] * np.array([0.0, 1.0, 0.0])
     return spine[:, None] + np.cos(turn)[None, :, None] * (deep[:, None, None] * ahead[:, None]) + aside
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, box, merged, mesh, tube
+from lidar2pano.simulate.scene.mesh import Mesh, box, merged, quadrilaterals, tube
 
 
 class Species(NamedTuple):
@@ -70,7 +70,6 @@ SPECIES: dict[str, Species] = {
         -0.3, "bark", "needles",
     ),
 }  # fmt: skip
-STREET = ("linden", "maple", "birch", "globe", "linden", "maple", "oak")  # for trees without a given species
 
 
 # Corners of a card, in halves of its size. Sprays of leaves grow from their foot into a kite, and the empty corners are
@@ -92,15 +91,15 @@ class _Cards(NamedTuple):
     tint: np.ndarray
 
 
-def tree(rng: np.random.Generator, name: str | None = None, detail: float = 1.0) -> Mesh:
+def tree(rng: np.random.Generator, name: str, detail: float = 1.0) -> Mesh:
     """A tree of one of SPECIES, 3 to 22 m high; `detail` scales the number of cards at constant density."""
-    species = SPECIES[name or STREET[int(rng.integers(len(STREET)))]]
+    species = SPECIES[name]
     height = rng.uniform(*species.height)
     radius, foot = height * rng.uniform(*species.spread), height * rng.uniform(*species.clear)
     tint = np.array(species.tint) * rng.normal(1.0, (0.1, 0.05, 0.1)) * rng.uniform(0.8, 1.15)
     trunk = _trunk(rng, species, height)
     if species.whorls:
-        cards, limbs = _whorls(rng, species, (height, foot, radius), detail)
+        cards, limbs = _whorls(rng, species, (height, foot, radius), detail), []
     else:
         clumps, radii = _clumps(rng, species, (height, foot, radius))
         cards = _crown(rng, species, clumps, radii, (foot, height, radius), detail)
@@ -176,13 +175,11 @@ def _leafed(cards: _Cards, material: str) -> Mesh:
     across = _unit(np.cross(cards.tip, cards.facing)) * cards.size[:, :1] / 2
     along = _unit(np.cross(cards.facing, across)) * cards.size[:, 1:] / 2
     points = cards.middle[:, None] + KITE[:, :1] * across[:, None] + KITE[:, 1:] * along[:, None]
-    start = 4 * np.arange(count)[:, None]
-    faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
     uv = np.tile((0.998 * KITE + 1) / 2, (count, 1))
     # Towards its corners a card is lit as if it were bent, so that it does not look like a board.
     spread = (points - cards.middle[:, None]) / np.maximum(cards.size.max(axis=1)[:, None, None] / 2, 1e-9)
     normals = _unit(cards.lit[:, None] + 0.35 * spread).reshape(-1, 3)
-    leaves = mesh(points, faces, material, normals=normals, uv=uv)
+    leaves = quadrilaterals(points.reshape(-1, 3), material, normals=normals, uv=uv)
     leaves.tint[:] = np.repeat(cards.tint, 2, axis=0)
     return leaves
 
@@ -273,9 +270,7 @@ def _limbs(
     return limbs
 
 
-def _whorls(
-    rng: np.random.Generator, species: Species, size: tuple[float, float, float], detail: float
-) -> tuple[_Cards, list[Mesh]]:
+def _whorls(rng: np.random.Generator, species: Species, size: tuple[float, float, float], detail: float) -> _Cards:
     """Branches in whorls, each a row of flat drooping sprays; size: height, foot, radius."""
     height, foot, radius = size
     step = species.card * 0.52 / np.sqrt(min(detail, 1.0)) ** 0.8
@@ -299,7 +294,7 @@ def _whorls(
     aside = np.column_stack([-away[:, 1], away[:, 0], np.zeros(n)]) * rng.normal(0, 0.5, (n, 1))
     shade = (0.35 + 0.65 * along) * (0.8 + 0.3 * rng.uniform(size=n))
     side = step / 0.52 * rng.uniform(0.8, 1.15, (n, 1)) * np.where(part[level[branch]] > 0.85, 0.7, 1.0)[:, None]
-    cards = _Cards(
+    return _Cards(
         middle=middle,
         tip=_unit(away + aside + (0, 0, -species.droop) + rng.normal(0, 0.15, (n, 3))),
         facing=_unit(0.45 * away + (0, 0, 0.8) + rng.normal(0, 0.35, (n, 3))),
@@ -307,4 +302,3 @@ def _whorls(
         size=side * (1.0, 1.15),
         tint=_shades(rng, len(level), 0.12)[branch] * _shades(rng, n, 0.1) * shade[:, None],
     )
-    return cards, []

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, box, ellipsoid, loft, merged, polygons, tube
+from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Point, Tint, box, ellipsoid, loft, merged, polygons, tube
 from lidar2pano.simulate.scene.random_streams import pick, weighted_choice
 
 WHITE: Tint = (1.1, 1.1, 1.1)
@@ -35,7 +35,7 @@ class Layer(NamedTuple):
 Plate = list[Layer]  # the first layer is the plate's own outline
 
 
-def _ngon(corners: int, radius: float, turn: float = 0.0, centre: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+def _ngon(corners: int, radius: float, turn: float = 0.0, centre: Point = (0.0, 0.0)) -> np.ndarray:
     """A regular polygon, its first corner at `turn` radians from the right."""
     angle = turn + 2 * np.pi * np.arange(corners) / corners
     return radius * np.column_stack([np.cos(angle), np.sin(angle)]) + centre
@@ -49,7 +49,7 @@ def _oblong(width: float, height: float, centre: tuple[float, float] = (0.0, 0.0
     return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2) + centre
 
 
-def _bar(start: tuple[float, float], end: tuple[float, float], thick: float) -> np.ndarray:
+def _bar(start: Point, end: Point, thick: float) -> np.ndarray:
     way = np.subtract(end, start)
     aside = np.array([way[1], -way[0]]) * thick / 2 / np.hypot(*way)
     return np.array([start + aside, end + aside, end - aside, start - aside])
@@ -76,9 +76,8 @@ def _written(text: str, size: float, thick: float, tint: Tint) -> Plate:
     layers, left = [], -(len(text) * 1.45 - 0.45) * size / 2
     for letter in text:
         for a, b, c, d in _STROKES[letter]:
-            layers.append(
-                Layer(_bar((left + a * size, (b - 1) * size), (left + c * size, (d - 1) * size), thick), tint)
-            )
+            ends = (left + a * size, (b - 1) * size), (left + c * size, (d - 1) * size)
+            layers.append(Layer(_bar(*ends, thick), tint))
         left += 1.45 * size
     return layers
 
@@ -96,12 +95,11 @@ def _lines(rng: np.random.Generator, width: float, levels: list[float], high: fl
     return layers
 
 
-def _arrow(size: float, turn: float, tint: Tint, centre: tuple[float, float] = (0.0, 0.0)) -> Plate:
-    """An arrow towards `turn` radians from the right."""
+def _arrow(size: float, turn: float) -> Plate:
+    """A white arrow around the middle, towards `turn` radians from the right."""
     way = size * np.array([np.cos(turn), np.sin(turn)])
-    start, neck = np.subtract(centre, way), np.add(centre, 0.2 * way)
-    head = _ngon(3, 0.65 * size, turn, (float(neck[0] + 0.3 * way[0]), float(neck[1] + 0.3 * way[1])))
-    return [Layer(_bar((start[0], start[1]), (neck[0], neck[1]), 0.35 * size), tint), Layer(head, tint)]
+    head = _ngon(3, 0.65 * size, turn, 0.2 * way + 0.3 * way)
+    return [Layer(_bar(-way, 0.2 * way, 0.35 * size), WHITE), Layer(head, WHITE)]
 
 
 def _banned(inner: Tint) -> Plate:
@@ -168,13 +166,13 @@ SIGNS: dict[str, Callable[[np.random.Generator], Plate]] = {
     "warning": _warning,
     "no parking": _no_parking,
     "no entry": lambda _: [Layer(_disc(0.3), WHITE), Layer(_disc(0.285), RED), Layer(_oblong(0.42, 0.1), WHITE)],
-    "one way": lambda rng: [Layer(_oblong(0.8, 0.3), BLUE), *_arrow(0.3, 0 if rng.uniform() < 0.5 else np.pi, WHITE)],
+    "one way": lambda rng: [Layer(_oblong(0.8, 0.3), BLUE), *_arrow(0.3, 0 if rng.uniform() < 0.5 else np.pi)],
     "crossing": _crossing,
     "parking": lambda _: [
         Layer(_oblong(0.6, 0.6), WHITE), Layer(_oblong(0.57, 0.57), BLUE), *_written("P", 0.17, 0.08, WHITE),
     ],
     "cycle path": _cycle_path,
-    "keep right": lambda _: [*_MANDATORY, *_arrow(0.2, -np.pi / 4, WHITE)],
+    "keep right": lambda _: [*_MANDATORY, *_arrow(0.2, -np.pi / 4)],
     "direction": _direction,
     "town name": _town_name,
     "street name": _street_name,

@@ -40,13 +40,13 @@ class Mesh:
         """Number of triangles."""
         return len(self.faces)
 
-    def transformed(self, rotation: np.ndarray, position: tuple[float, float, float]) -> Mesh:
+    def transformed(self, rotation: np.ndarray, position: Point) -> Mesh:
         """The mesh rotated by R_world_object (3, 3) and translated to `position`, metres."""
         R = np.asarray(rotation, dtype=np.float32).T
         vertices = self.vertices @ R + np.asarray(position, dtype=np.float32)
         return replace(self, vertices=vertices, normals=self.normals @ R)
 
-    def placed(self, position: tuple[float, float, float], yaw: float = 0.0) -> Mesh:
+    def placed(self, position: Point, yaw: float = 0.0) -> Mesh:
         """The mesh rotated by `yaw` radians to the left, and translated to `position`, metres."""
         c, s = np.cos(yaw), np.sin(yaw)
         return self.transformed(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), position)
@@ -86,24 +86,17 @@ def mesh(
     )
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products (..., 3) of vectors of one shape; for small arrays several times as fast as numpy's."""
-    x = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    y = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    return np.stack([x, y, a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]], axis=-1)
-
-
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (F, 3) of triangles; zero for triangles without area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    normal = cross(b - a, c - a)
+    normal = np.cross(b - a, c - a)
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    normal = cross(b - a, c - a)
+    normal = np.cross(b - a, c - a)
     total = np.zeros((len(vertices), 3))
     for corner in range(3):
         np.add.at(total, faces[:, corner], normal)
@@ -140,24 +133,25 @@ _BOX = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6), (1, 2, 
 SIDES = ("bottom", "top", "right", "left", "front", "back")  # right is -y, front is +x
 
 
-def box(
-    centre: Point, size: Point, material: str, tint: Tint = PLAIN, *, yaw: float = 0.0, open_sides: Sequence[str] = ()
-) -> Mesh:
-    """A box of `size` (along x, y, z) around `centre`, rotated by `yaw` radians, without some of SIDES."""
+def box(centre: Point, size: Point, material: str, tint: Tint = PLAIN, *, open_sides: Sequence[str] = ()) -> Mesh:
+    """A box of `size` (along x, y, z) around `centre`, without some of SIDES."""
     corner = np.array(
         [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
     )
     quads = _BOX[[i for i, side in enumerate(SIDES) if side not in open_sides]]
-    solid = polygons(corner * np.asarray(size) / 2, quads, material, tint)
-    x, y, z = centre
-    return solid.placed((x, y, z), yaw)
+    return polygons(corner * np.asarray(size) / 2, quads, material, tint).placed(centre)
 
 
-def polygons(points: Points, polygon: Points, material: str, tint: Tint = PLAIN) -> Mesh:
-    """Flat convex polygons (P, n) of indices into points (N, 3), counter-clockwise from outside."""
+def polygons(points: Points, polygon: Points, material: str, tint: Tint = PLAIN, **more: np.ndarray) -> Mesh:
+    """Flat convex polygons (P, n) of indices into points (N, 3), counter-clockwise from outside; `more`: of `mesh`."""
     corners = np.asarray(polygon)
     fan = [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
-    return mesh(points, np.stack(fan, axis=1).reshape(-1, 3), material, tint)
+    return mesh(points, np.stack(fan, axis=1).reshape(-1, 3), material, tint, **more)
+
+
+def quadrilaterals(points: np.ndarray, material: str, tint: Tint = PLAIN, **more: np.ndarray) -> Mesh:
+    """Quadrilaterals whose corners are every four of points (4 N, 3); see `polygons`."""
+    return polygons(points, np.arange(len(points)).reshape(-1, 4), material, tint, **more)
 
 
 def tube(
@@ -169,13 +163,13 @@ def tube(
     radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), (n,))
     tangent = np.gradient(course, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    aside = cross(tangent, np.where(np.abs(tangent[:, 2:]) > 0.9, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    aside = np.cross(tangent, np.where(np.abs(tangent[:, 2:]) > 0.9, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
     for i in range(1, n):  # parallel transport: bends do not twist the tube
         level = aside[i - 1] - tangent[i] * (tangent[i] @ aside[i - 1])
         long = np.sqrt(level @ level)
         aside[i] = level / long if long > 1e-6 else aside[i]
-    binormal = cross(tangent, aside)
+    binormal = np.cross(tangent, aside)
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     radial = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * binormal[:, None]
     points = course[:, None] + radii[:, None, None] * radial
