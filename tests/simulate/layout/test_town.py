@@ -9,7 +9,7 @@ import pytest
 
 from lidar2pano.simulate.layout.ground import ground, split_triangles
 from lidar2pano.simulate.layout.roads import Bay, Road, Terrain, locate, winding_centreline
-from lidar2pano.simulate.layout.town import LAND_USES, PLACES, ROAD_MARGIN, GroundCover, build_town, clear_of_roads
+from lidar2pano.simulate.layout.town import LAND_USES, PLACES, ROAD_MARGIN, Town, build_town, clear_of_roads
 from lidar2pano.simulate.layout.traffic import Drive, SpeedProfile, lanes
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.surfaces import OBJECT_TYPE_IDS
@@ -113,7 +113,8 @@ def test_ground_covers_everything_once_and_steps_up_at_the_kerb():
     roads = (straight(bays=(Bay(start=20, end=60, side=1, width=2.0),)), straight(60, np.pi / 2, (50.0, 0.0)))
     land = Terrain(np.zeros((1, 4)))
     low, high = np.array([10.0, -20.0]), np.array([90.0, 30.0])
-    made = ground(roads, land, low, high, [GroundCover()], lambda road, s, d: np.zeros(len(s), np.int64))
+    town = Town(seed=0, name="residential", roads=roads, terrain=land, stretches=((), ()), junctions=())
+    made = ground(town, low, high)
     corners = made.vertices[made.faces].astype(np.float64)
     inside = ((corners[:, :, :2] >= low - 1e-3) & (corners[:, :, :2] <= high + 1e-3)).all(axis=(1, 2))
     assert area(corners[inside]) == pytest.approx(80 * 50, rel=1e-4)
@@ -238,11 +239,7 @@ def test_every_class_has_its_place():
     """Nineteen classes: those of the ground by what lies in the quarters, those of things by what can stand about."""
     from lidar2pano.simulate.layout.ground import OBJECT_TYPE_OF_COVER
 
-    lands = {
-        material
-        for land_use in LAND_USES.values()
-        for material in (land_use.ground_cover.near, land_use.ground_cover.far)
-    }
+    lands = {material for land_use in LAND_USES.values() for material in (land_use.near, land_use.far)}
     assert {OBJECT_TYPE_OF_COVER.get(material, "terrain") for material in lands} == {
         "terrain",
         "sidewalk",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from lidar2pano.simulate.layout.roads import Road, Terrain, locate
-from lidar2pano.simulate.layout.town import GroundCover, Town
-from lidar2pano.simulate.scene.mesh import Mesh, merged, mesh
+from lidar2pano.simulate.layout.town import LAND_USES, Town
+from lidar2pano.simulate.scene.mesh import Mesh, merged, mesh, quads_of
 
 CELL, FAR_CELL = 1.0, 10.0  # metres: cells of the grid, and of the rim around it
 FAR = 420.0  # metres: width of the rim
@@ -66,38 +66,28 @@ def _corners(roads: Sequence[Road], low: np.ndarray, high: np.ndarray) -> tuple[
     bay = np.where(at.other_road < 2.0, -1.0, np.abs(at.d) - half)
     fields += [bay, at.kerb_distance - walk, np.abs(at.d) - median, at.kerb_distance - 14.0, np.zeros(x.size)]
     table = np.stack(fields, axis=1)
-    index = np.arange(x.size).reshape(x.shape)
-    a, b, c, e = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, e], -1).reshape(-1, 3)])
+    faces = quads_of(np.arange(x.size).reshape(x.shape))
     return table[faces], at.road[faces[:, 0]]
 
 
-CoverAt = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
-"""(road, s (N,), d (N,)) -> index of the ground cover (N,) there."""
-
-
-def ground(
-    roads: Sequence[Road],
-    terrain: Terrain,
-    low: np.ndarray,
-    high: np.ndarray,
-    covers: Sequence[GroundCover],
-    cover_at: CoverAt,
-) -> Mesh:
+def ground(town: Town, low: np.ndarray, high: np.ndarray) -> Mesh:
     """The ground between the corners low and high (2,), metres, and a coarse rim around it."""
-    corners, owner = _corners(roads, low, high)
-    parts: list[Mesh] = []
-    for index, road in enumerate(roads):
+    corners, owner = _corners(town.roads, low, high)
+    terrain, covers, parts = town.terrain, list(LAND_USES.values()), list[Mesh]()
+    for index, road in enumerate(town.roads):
         own = corners[owner == index]
         if len(own):
             # The first corner belongs to the road; between two roads the others may belong to another one.
-            own[:, :, COVER] = cover_at(index, own[:, 0, S], own[:, 0, D])[:, None]
+            own[:, :, COVER] = town.land_use_ids(index, own[:, 0, S], own[:, 0, D])[:, None]
             beyond, surfaces = _street(own, road, terrain)
             number = beyond[:, 0, COVER].astype(np.int64)
             parts += surfaces
             for cover in np.unique(number):
-                parts += _land(beyond[number == cover], road, terrain, covers[cover])
-    return merged([*parts, *_rim(terrain, low, high, covers[0])])
+                near, far, _ = split_triangles(beyond[number == cover], BEYOND)
+                for part, material in ((near, covers[cover].near), (far, covers[cover].far)):
+                    object_type = OBJECT_TYPE_OF_COVER.get(material, "terrain")
+                    parts.append(_surface(part, terrain, road.kerb, material, object_type, (X, Y)))
+    return merged([*parts, *_rim(terrain, low, high, covers[0].far)])
 
 
 def _street(corners: np.ndarray, road: Road, terrain: Terrain) -> tuple[np.ndarray, list[Mesh]]:
@@ -119,14 +109,6 @@ def _street(corners: np.ndarray, road: Road, terrain: Terrain) -> tuple[np.ndarr
         parts.append(_surface(walk, terrain, road.kerb, road.paving, "sidewalk", along))
         parts.append(_kerb(cuts, terrain, road.kerb))
     return beyond, parts
-
-
-def _land(corners: np.ndarray, road: Road, terrain: Terrain, cover: GroundCover) -> list[Mesh]:
-    near, far, _ = split_triangles(corners, BEYOND)
-    return [
-        _surface(part, terrain, road.kerb, material, OBJECT_TYPE_OF_COVER.get(material, "terrain"), (X, Y))
-        for part, material in ((near, cover.near), (far, cover.far))
-    ]
 
 
 def _surface(
@@ -159,23 +141,16 @@ def _kerb(cuts: np.ndarray, terrain: Terrain, height: float) -> Mesh:
     return _mesh(corners, np.repeat(outwards, 6, axis=0), uv, "kerb", "sidewalk")
 
 
-def _rim(terrain: Terrain, low: np.ndarray, high: np.ndarray, cover: GroundCover) -> list[Mesh]:
+def _rim(terrain: Terrain, low: np.ndarray, high: np.ndarray, material: str) -> Iterator[Mesh]:
     """Four coarse pieces of land around the grid."""
-    boxes = [
-        (low - FAR, np.array([high[0] + FAR, low[1]])), (np.array([low[0] - FAR, high[1]]), high + FAR),
-        (np.array([low[0] - FAR, low[1]]), np.array([low[0], high[1]])),
-        (np.array([high[0], low[1]]), np.array([high[0] + FAR, high[1]])),
-    ]  # fmt: skip
-    return [_field(terrain, first, last, cover) for first, last in boxes]
-
-
-def _field(terrain: Terrain, low: np.ndarray, high: np.ndarray, cover: GroundCover) -> Mesh:
-    xs, ys = (np.linspace(low[i], high[i], max(int((high[i] - low[i]) / FAR_CELL), 1) + 1) for i in range(2))
-    x, y = np.meshgrid(xs, ys, indexing="ij")
-    grid = np.stack([x, y], -1)
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    corners = np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 2)
-    return _surface(corners, terrain, 0.0, cover.far, "terrain", (0, 1))
+    (west, south), (east, north) = low, high
+    sides = [((west - FAR, east + FAR), part) for part in ((south - FAR, south), (north, north + FAR))]
+    sides += [(part, (south, north)) for part in ((west - FAR, west), (east, east + FAR))]
+    for side in sides:
+        xs, ys = (np.linspace(*span, max(int((span[1] - span[0]) / FAR_CELL), 1) + 1) for span in side)
+        grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), -1)
+        corners = grid.reshape(-1, 2)[quads_of(np.arange(grid.size // 2).reshape(grid.shape[:2]))]
+        yield _surface(corners, terrain, 0.0, material, "terrain", (0, 1))
 
 
 def markings(town: Town, low: np.ndarray, high: np.ndarray) -> Mesh:
@@ -215,23 +190,16 @@ def _strip(
     middle, _ = road.at(s, d)
     if not ((middle > low) & (middle < high)).all(axis=1).any():
         return merged([])
-    clear = _clear_of_others(town, index, middle)
+    neighbours = [road for number, road in enumerate(town.roads) if number != index]
+    clear = locate(neighbours, middle, reach=30.0).kerb_distance > 2.0  # metres from other carriageways
     left, right = road.at(s, d + width / 2)[0], road.at(s, d - width / 2)[0]
     pieces = np.flatnonzero(clear[:-1] & clear[1:])
     quads = np.stack([right[pieces], right[pieces + 1], left[pieces + 1], left[pieces]], axis=1)
     return _painted(quads, town.terrain)
 
 
-def _clear_of_others(town: Town, index: int, xy: np.ndarray) -> np.ndarray:
-    """Return (N,) bool: no other carriageway is within two metres."""
-    neighbours = [road for number, road in enumerate(town.roads) if number != index]
-    return locate(neighbours, xy, reach=30.0).kerb_distance > 2.0 if neighbours else np.ones(len(xy), dtype=bool)
-
-
 def _painted(quads: np.ndarray, terrain: Terrain) -> Mesh:
     """Paint over quads (N, 4, 2), counter-clockwise from above."""
-    if not len(quads):
-        return merged([])
     xy = quads.reshape(-1, 2)
     points = np.column_stack([xy, terrain.height(xy) + LIFT])
     corner = np.arange(len(xy)).reshape(-1, 4)
@@ -248,12 +216,7 @@ def _junction(town: Town, index: int, s: float, side: int, low: np.ndarray, high
         at = s + side * (road.half_width + 5.5)
         for d in np.arange(-main.half_width + 0.5, main.half_width - 0.4, 1.0):
             parts.append(_bar(town, main, at, (d + 0.25, 0.5), 3.0))
-    return [part for part in parts if len(part) and _inside(part, low, high)]
-
-
-def _inside(part: Mesh, low: np.ndarray, high: np.ndarray) -> bool:
-    xy = part.vertices[:, :2]
-    return bool(((xy > low) & (xy < high)).all())
+    return [part for part in parts if ((part.vertices[:, :2] > low) & (part.vertices[:, :2] < high)).all()]
 
 
 def _bar(town: Town, road: Road, s: float, across: tuple[float, float], long: float) -> Mesh:

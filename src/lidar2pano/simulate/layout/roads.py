@@ -130,7 +130,9 @@ def locate(roads: Sequence[Road], xy: np.ndarray, reach: float = 80.0) -> Positi
         along, aside, beyond = _frenet(road, xy[near])
         flank = np.abs(aside) - road.kerb_offset(along, np.where(aside > 0, 1, -1))
         gap = np.where(beyond > 0, np.hypot(np.maximum(flank, 0), beyond), flank)
-        rounded[near] = _fillet(rounded[near], gap)
+        # Signed distance to the union of two areas with a rounded inner corner.
+        inner = np.hypot(np.maximum(CORNER - rounded[near], 0), np.maximum(CORNER - gap, 0))
+        rounded[near] = np.maximum(CORNER, np.minimum(rounded[near], gap)) - inner
         closer = gap < best[near]
         second[near] = np.minimum(second[near], np.where(closer, best[near], gap))
         won = near[closer]
@@ -138,21 +140,11 @@ def locate(roads: Sequence[Road], xy: np.ndarray, reach: float = 80.0) -> Positi
     return Position(kerb_distance=rounded, road=owner, s=s, d=d, other_road=second)
 
 
-def _fillet(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Signed distance to the union of two areas with a rounded inner corner."""
-    u, v = np.maximum(CORNER - a, 0), np.maximum(CORNER - b, 0)
-    return np.maximum(CORNER, np.minimum(a, b)) - np.hypot(u, v)
-
-
 def _frenet(road: Road, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """s, d and metres beyond an end of the road, each (N,)."""
-    coarse = road.xy[::COARSE].astype(np.float32)
-    nearest = np.empty(len(xy), dtype=np.int64)
-    points = xy.astype(np.float32)
-    for first in range(0, len(xy), 16384):
-        part = points[first : first + 16384]
-        square = (coarse**2).sum(1)[None] - 2 * part @ coarse.T
-        nearest[first : first + 16384] = square.argmin(axis=1)
+    coarse, points = road.xy[::COARSE].astype(np.float32), xy.astype(np.float32)
+    parts = np.split(points, range(16384, len(points), 16384))
+    nearest = np.concatenate([((coarse**2).sum(1) - 2 * part @ coarse.T).argmin(axis=1) for part in parts])
     i = np.minimum(nearest * COARSE, len(road.xy) - 1)
     for _ in range(3):
         away = xy - road.xy[i]

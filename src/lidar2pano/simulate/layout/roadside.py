@@ -16,8 +16,10 @@ from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import weighted_choice
 
 Rng = np.random.Generator
-SMALL = {"shed": buildings.shed, "garage": buildings.garage}
-LARGE = {"house": buildings.house, "terrace": buildings.house, "flats": buildings.flats, "hall": buildings.hall}
+BUILDINGS: dict[str, Callable[..., Mesh]] = {
+    "house": buildings.house, "terrace": buildings.house, "flats": buildings.flats, "hall": buildings.hall,
+    "shed": lambda rng, *_: buildings.shed(rng), "garage": lambda rng, *_: buildings.garage(rng),
+}  # fmt: skip
 BARRIERS = {
     "picket": barriers.picket_fence, "wire": barriers.wire_fence, "railing": barriers.railing,
     "wall": barriers.wall, "noise": barriers.noise_barrier, "guard": barriers.guard_rail,
@@ -43,9 +45,7 @@ BIN = Template(lambda rng, _: street_furniture.bin(rng), "bin", 0.5)
 
 def _building_maker(make: str, wide: float, deep: float) -> Maker:
     """The maker of a building of `wide` x `deep` metres."""
-    if make in SMALL:
-        return lambda rng, _: SMALL[make](rng)
-    return lambda rng, _: LARGE[make](rng, wide, deep)
+    return lambda rng, _: BUILDINGS[make](rng, wide, deep)
 
 
 def place_buildings(plan: Planner) -> None:
@@ -351,16 +351,11 @@ def signs(plan: Planner) -> None:
     for number, (s, side) in enumerate(plan.town.junctions):
         road = plan.town.roads[number + 1]
         if rng.uniform() < plan.town.place.light_share:
-            for way in (
-                -1,
-                1,
-            ):  # traffic on the right (-1) stops before the junction; on the left it comes the other way
+            for way in (-1, 1):  # traffic on the right (-1) stops before the junction, on the left behind it
                 _beside(plan, main, s + way * (road.half_width + 3.0), way, 0.6, LIGHT)
         elif rng.uniform() < 0.7:
-            away = main.half_width + main.sidewalk + 1.5
-            _beside(plan, road, away, 1, 0.5, GIVE_WAY)
-            ahead = s + side * (road.half_width + 3)
-            _beside(plan, main, ahead, side, 0.5, STREET_NAME)
+            _beside(plan, road, main.half_width + main.sidewalk + 1.5, 1, 0.5, GIVE_WAY)
+            _beside(plan, main, s + side * (road.half_width + 3), side, 0.5, STREET_NAME)
 
 
 def clutter(plan: Planner) -> None:

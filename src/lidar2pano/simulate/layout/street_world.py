@@ -9,7 +9,7 @@ import numpy as np
 from lidar2pano.simulate.layout.ground import ground, markings
 from lidar2pano.simulate.layout.placement import PlacedObject, Planner
 from lidar2pano.simulate.layout.roadside import STEPS
-from lidar2pano.simulate.layout.town import LAND_USES, PLACES, ROAD_MARGIN, Town, build_town
+from lidar2pano.simulate.layout.town import PLACES, ROAD_MARGIN, Town, build_town
 from lidar2pano.simulate.layout.traffic import Delay, Drive, SpeedProfile, Traffic, build_traffic
 from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject
@@ -37,9 +37,7 @@ class World:
         """The static scene around the metres [number * WINDOW, (number + 1) * WINDOW) of the drive."""
         points = self._lane_points(number * WINDOW, (number + 1) * WINDOW)
         low, high = (np.rint(edge) for edge in (points.min(axis=0) - VIEW_RANGE, points.max(axis=0) + VIEW_RANGE))
-        covers = [land_use.ground_cover for land_use in LAND_USES.values()]
-        land = ground(self.town.roads, self.town.terrain, low, high, covers, self.town.land_use_ids)
-        objects = [SceneObject(mesh=land), SceneObject(mesh=markings(self.town, low, high))]
+        objects = [SceneObject(mesh=make(self.town, low, high)) for make in (ground, markings)]
         whole = self._lane_points(0.0, max(self.length, 1.0))
         instance = 0
         for placed in self.objects:

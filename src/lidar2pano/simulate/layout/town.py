@@ -96,14 +96,6 @@ PLACES: dict[str, Place] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundCover:
-    """Materials of the land beyond the sidewalk: of the first 14 metres and of the rest."""
-
-    near: str = "grass"
-    far: str = "meadow"
-
-
 class LandUse(NamedTuple):
     """The objects along a stretch of road, on one side; (least, most) are ranges.
 
@@ -112,6 +104,7 @@ class LandUse(NamedTuple):
     borders       of the lots towards the road, and their weights.
     street_trees  per 100 metres;  yard_plants: trees and bushes per 10 metres;  tree_density: per 100 m2.
     shrub_share   probability of a row of bushes;  lamp_spacing: distance between street lamps (0 = none).
+    near, far     materials of the land: of the first 14 metres beyond the sidewalk, and of the rest.
     """
 
     building: str = ""
@@ -125,33 +118,30 @@ class LandUse(NamedTuple):
     shrub_share: float = 0.0
     tree_density: float = 0.0
     lamp_spacing: float = 0.0
-    ground_cover: GroundCover = GroundCover()
+    near: str = "grass"
+    far: str = "meadow"
 
 
 LAND_USES: dict[str, LandUse] = {
     "houses": LandUse(
         building="house", width=(9, 14), depth=(8.5, 12), setback=(3, 9), lot_gap=(4, 12),
         borders={"hedge": 6, "picket": 1.5, "wall": 1, "wire": 1, "railing": 1, "none": 1.5},
-        street_trees=2.5, yard_plants=7.5, tree_density=0.45, lamp_spacing=26, shrub_share=0.7,
-        ground_cover=GroundCover(near="grass", far="grass"),
+        street_trees=2.5, yard_plants=7.5, tree_density=0.45, lamp_spacing=26, shrub_share=0.7, far="grass",
     ),
     "terraces": LandUse(
         building="terrace", width=(8, 11), depth=(9, 12), setback=(1.0, 6), lot_gap=(0.0, 3.0),
-        borders={"none": 3, "railing": 1, "hedge": 4, "wall": 1},
+        borders={"none": 3, "railing": 1, "hedge": 4, "wall": 1}, near="cobbles", far="grass",
         street_trees=3.0, yard_plants=2.5, tree_density=0.35, lamp_spacing=26, shrub_share=0.45,
-        ground_cover=GroundCover(near="cobbles", far="grass"),
     ),
     "flats": LandUse(
         building="flats", width=(14, 26), depth=(10, 14), setback=(1.5, 10), lot_gap=(2.0, 16),
-        borders={"none": 4, "hedge": 3, "railing": 1},
+        borders={"none": 4, "hedge": 3, "railing": 1}, near="cobbles", far="grass",
         street_trees=6.0, yard_plants=3.0, tree_density=0.3, lamp_spacing=26, shrub_share=0.6,
-        ground_cover=GroundCover(near="cobbles", far="grass"),
     ),
     "halls": LandUse(
         building="hall", width=(20, 38), depth=(14, 24), setback=(8, 18), lot_gap=(8, 25),
         borders={"wire": 3, "none": 2, "hedge": 1},
-        street_trees=3.0, yard_plants=4.0, tree_density=0.1, lamp_spacing=28, shrub_share=0.8,
-        ground_cover=GroundCover(near="grass", far="gravel"),
+        street_trees=3.0, yard_plants=4.0, tree_density=0.1, lamp_spacing=28, shrub_share=0.8, far="gravel",
     ),
     "gardens": LandUse(
         building="shed", width=(3, 5), depth=(3, 4), setback=(4, 12), lot_gap=(8, 18),
@@ -159,23 +149,12 @@ LAND_USES: dict[str, LandUse] = {
         street_trees=2.5, yard_plants=7.0, tree_density=0.5, shrub_share=0.8, lamp_spacing=28,
     ),
     "park": LandUse(
-        street_trees=6.0, yard_plants=10.0, tree_density=0.45, lamp_spacing=28, shrub_share=0.8,
-        ground_cover=GroundCover(near="grass", far="grass"),
+        street_trees=6.0, yard_plants=10.0, tree_density=0.45, lamp_spacing=28, shrub_share=0.8, far="grass",
     ),
-    "wood": LandUse(
-        yard_plants=2.5, tree_density=1.6, shrub_share=1.0, ground_cover=GroundCover(near="meadow", far="soil")
-    ),
-    "field": LandUse(
-        street_trees=2.0, yard_plants=4.0, shrub_share=0.85, ground_cover=GroundCover(near="meadow", far="field")
-    ),
-    "meadow": LandUse(
-        street_trees=3.0, yard_plants=6.0, tree_density=0.12, shrub_share=0.9,
-        ground_cover=GroundCover(near="meadow", far="meadow"),
-    ),
-    "noise": LandUse(
-        borders={"noise": 1}, yard_plants=3.0, tree_density=0.4, shrub_share=0.9,
-        ground_cover=GroundCover(near="meadow", far="meadow"),
-    ),
+    "wood": LandUse(yard_plants=2.5, tree_density=1.6, shrub_share=1.0, near="meadow", far="soil"),
+    "field": LandUse(street_trees=2.0, yard_plants=4.0, shrub_share=0.85, near="meadow", far="field"),
+    "meadow": LandUse(street_trees=3.0, yard_plants=6.0, tree_density=0.12, shrub_share=0.9, near="meadow"),
+    "noise": LandUse(borders={"noise": 1}, yard_plants=3.0, tree_density=0.4, shrub_share=0.9, near="meadow"),
 }  # fmt: skip
 
 

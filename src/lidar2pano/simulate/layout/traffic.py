@@ -167,8 +167,6 @@ class Traffic:
 
         delay  function from position (3,) to seconds: a LiDAR passes each actor at another time.
         """
-        if not self.actors:
-            return []
         out, road = [], self.town.roads[0]
         along = np.array([actor.along(time, road.length) for actor in self.actors])
         xy, _ = road.at(along, np.array([actor.offset for actor in self.actors]))
@@ -193,9 +191,8 @@ class Traffic:
 
 def build_traffic(drive: Drive, first: int) -> Traffic:
     """The traffic around a drive."""
-    town = drive.town
-    actors = [*_vehicles(drive), *_cyclists(town), *_walkers(town)]
-    return Traffic(town=town, actors=tuple(actors), first=first)
+    actors = (*_vehicles(drive), *_cyclists(drive.town), *_walkers(drive.town))
+    return Traffic(town=drive.town, actors=actors, first=first)
 
 
 def _vehicles(drive: Drive) -> Iterator[Actor]:
@@ -213,12 +210,10 @@ def _vehicles(drive: Drive) -> Iterator[Actor]:
             s += half
             start = drive.along(np.zeros(1))[0]
             if not (own_lane and abs(s - start) < LANE_CLEARANCE + half):
-                travelled = (
-                    _like_drive(drive, factor) if own_lane or direction > 0 else _steady(town.place.speed * factor)
-                )
-                yield Actor(
-                    VEHICLES[name], f"{name} {lane}", number, s, travelled, direction, offset + rng.normal(0, 0.1), half
-                )
+                like_drive = own_lane or direction > 0
+                travelled = _like_drive(drive, factor) if like_drive else _steady(town.place.speed * factor)
+                aside = offset + rng.normal(0, 0.1)
+                yield Actor(VEHICLES[name], f"{name} {lane}", number, s, travelled, direction, aside, half)
             number += 1
             s += half + 5.0 + rng.exponential(gap)
 
