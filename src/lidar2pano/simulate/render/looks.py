@@ -106,17 +106,12 @@ _GREEN = np.array(MATERIALS["leaves"].albedo, dtype=np.float32)[:, None]
 FALLEN = np.array((0.18, 0.10, 0.04), dtype=np.float32)  # albedo of leaves on the ground
 
 _WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # share of a plant in autumn colours
-_LITTERED = np.isin(
+LITTERED = np.isin(  # materials under fallen leaves
     list(MATERIALS),
     ("grass", "meadow", "asphalt", "asphalt-new", "cobbles", "paving", "kerb", "gravel", "soil", "paint-white"),
 )
 for _name, _share in {"leaves": 1.0, "hedge": 0.3, "grass": 0.12, "meadow": 0.25}.items():
     _WILTING[MATERIAL_IDS[_name]] = _share
-
-
-def litter_share(look: Look, material: np.ndarray) -> np.ndarray:
-    """Share (N,) float32 of a surface under fallen leaves; 0 in other seasons."""
-    return _LITTERED[material] * np.float32(look.leaf_litter)
 
 
 def seasonal_albedo(

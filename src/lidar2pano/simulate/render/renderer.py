@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -83,9 +82,8 @@ def render(scene: Scene, rays: Rays, look: Look, seed: int = 0) -> RenderedImage
     origin, directions, pixel_angle, circular = rays
     shape, origin = directions.shape[:2], origin.astype(np.float32)
     direction = directions.reshape(-1, 3)
-    hits = Hits.joined(
-        [scene.cast(origin, direction[first : first + TILE]) for first in range(0, len(direction), TILE)]
-    )
+    tiles = np.split(direction, range(TILE, len(direction), TILE))
+    hits = Hits.joined([scene.cast(origin, tile) for tile in tiles])
     surfaces = gbuffer(hits, origin, directions)
     from_sky = sky_visibility(scene, hits, surfaces, circular).reshape(-1)
     from_sun = _sun(scene, hits, origin, direction, look, shape)
@@ -96,11 +94,16 @@ def render(scene: Scene, rays: Rays, look: Look, seed: int = 0) -> RenderedImage
     limit, visibility = SATURATION / look.exposure, Visibility(from_sun, from_sky)
     radiance = np.minimum(shade(scene, hits, origin, direction, pixel_angle, look, visibility), limit)
     count = np.ones(len(direction), dtype=np.float32)
-    for pixels, ray in _supersampled(hits, directions, circular):
-        more = scene.cast(origin, ray)
-        visibility = Visibility(sunlit(scene, more, np.broadcast_to(origin, ray.shape), ray, look), from_sky[pixels])
-        radiance[pixels] += np.minimum(shade(scene, more, origin, ray, 0.6 * pixel_angle, look, visibility), limit)
-        count[pixels] += 1
+    edge, leafy_edge = (part.reshape(-1) for part in _edges(hits, shape, circular))
+    for index, off in enumerate(SUBPIXELS):  # three further rays a pixel at edges, one a pixel at the rim of leaves
+        chosen = np.flatnonzero(edge if index else edge | leafy_edge)
+        for pixels in np.split(chosen, range(TILE, len(chosen), TILE)):
+            ray = _beside(directions, pixels, off, circular)
+            more = scene.cast(origin, ray)
+            lit = sunlit(scene, more, np.broadcast_to(origin, ray.shape), ray, look)
+            visibility = Visibility(lit, from_sky[pixels])
+            radiance[pixels] += np.minimum(shade(scene, more, origin, ray, 0.6 * pixel_angle, look, visibility), limit)
+            count[pixels] += 1
     radiance /= count[:, None]
     return RenderedImage(
         image=_camera_image(radiance.reshape(*shape, 3), look, circular, seed),
@@ -124,26 +127,12 @@ def _sun(
     return np.where(shares, lit[first], lit).reshape(shape)
 
 
-def _supersampled(hits: Hits, directions: np.ndarray, circular: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Indices of pixels at edges, and further rays of them: three a pixel, one a pixel at the rim of leaves."""
-    edge, leafy_edge = (part.reshape(-1) for part in _edges(hits, directions.shape[:2], circular))
-    once, more = np.flatnonzero(edge | leafy_edge), np.flatnonzero(edge)
-    for index, (right, down) in enumerate(SUBPIXELS):
-        pixels = more if index else once
-        for first in range(0, len(pixels), TILE):
-            chunk = pixels[first : first + TILE]
-            yield chunk, _beside(directions, chunk, (right, down), circular)
-
-
 def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float], circular: bool) -> np.ndarray:
     """Unit vectors (K, 3) through points `off` (right, down) pixels beside the centres of some pixels."""
     rows, columns = directions.shape[:2]
     row, column = np.divmod(pixels, columns)
     left, right = column - 1, column + 1
-    if circular:
-        left, right = left % columns, right % columns
-    else:
-        left, right = np.maximum(left, 0), np.minimum(right, columns - 1)
+    left, right = (part % columns if circular else part.clip(0, columns - 1) for part in (left, right))
     upper, lower = np.maximum(row - 1, 0), np.minimum(row + 1, rows - 1)
     across = (directions[row, right] - directions[row, left]) * np.float32(off[0] / 2)
     along = (directions[lower, column] - directions[upper, column]) * np.float32(off[1] / 2)

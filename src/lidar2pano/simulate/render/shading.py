@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.render.looks import FALLEN, Look, Sky, litter_share, seasonal_albedo, sky
+from lidar2pano.simulate.render.looks import FALLEN, LITTERED, Look, Sky, seasonal_albedo, sky
 from lidar2pano.simulate.render.textures import OF_MATERIAL, TEXTURE_IDS, sample, sample_wide, spatial_hash
 from lidar2pano.simulate.scene.raycast import Hits, Scene
 from lidar2pano.simulate.scene.surfaces import OBJECT_TYPE_IDS, material_table
@@ -283,7 +283,7 @@ def _tracks(albedo: np.ndarray, hits: Hits, texture: np.ndarray) -> None:
 
 
 def _litter(albedo: np.ndarray, points: _ShadingPoints, look: Look) -> None:
-    share = litter_share(look, points.hits.material)
+    share = LITTERED[points.hits.material] * np.float32(look.leaf_litter)
     ground = np.flatnonzero((share > 0) & (points.face_normal[2] > 0.7))
     if len(ground):
         ids = np.full(len(ground), TEXTURE_IDS["litter"])
