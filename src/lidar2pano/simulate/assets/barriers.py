@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,9 +45,7 @@ def _sheet(x: np.ndarray, z: np.ndarray, up: tuple[float, float], finish: Finish
     low, high = up
     points = np.concatenate([np.column_stack([x, 0 * x, z + level]) for level in up])
     run = np.concatenate([[0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))])
-    uv = np.concatenate(
-        [np.column_stack([run, np.full(len(x), v)]) for v in ((0.001, 0.999) if part else (0.0, high - low))]
-    )
+    uv = np.column_stack([np.tile(run, 2), np.repeat((0.001, 0.999) if part else (0.0, high - low), len(x))])
     i, n = np.arange(len(x) - 1), len(x)
     quads = np.stack([i, i + 1, i + 1 + n, i + n], axis=1)
     normals = np.tile((0.0, -1.0, 0.0), (2 * n, 1))
@@ -153,10 +152,8 @@ def noise_barrier(rng: np.random.Generator, length: float, ground: GroundHeight)
     finish = material, pick(rng, ((0.9, 0.95, 0.85), (0.6, 0.8, 0.65), (1.0, 0.95, 0.9)))
     parts = [_beam(x, z, _bar(-0.4, 0.5, -0.1, 0.1), ("concrete", (0.9, 0.9, 0.9)))]
     panels = max(round((high - 0.5) / 0.5), 1)
-    edges = np.linspace(0.5, high, panels + 1)
-    parts += [
-        _beam(x, z, _bar(low, top - 0.03, -0.06, 0.06), finish) for low, top in zip(edges[:-1], edges[1:], strict=True)
-    ]
+    for low, top in pairwise(np.linspace(0.5, high, panels + 1)):
+        parts.append(_beam(x, z, _bar(low, top - 0.03, -0.06, 0.06), finish))
     parts.append(_beam(x, z, _bar(0.5, high - 0.03, -0.04, 0.04), finish))
     parts.append(_posts(x, z, (0.16, 0.2, high + 0.03), ("metal", (0.8, 0.8, 0.8))))
     return merged(parts, "wall")

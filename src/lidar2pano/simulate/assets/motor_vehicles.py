@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -201,23 +202,19 @@ def _bulbs(skin: Body, shape: VehicleShape) -> list[Mesh]:
 
 def _extras(rng: np.random.Generator, skin: Body, shape: VehicleShape) -> list[Mesh]:
     """Badges, the third brake lamp, and extras of some cars: roof rails, rub strips, an aerial."""
-    half, parts = shape.length / 2, []
-    z = shape.profile[0][1] - 0.09
-    parts.append(ellipsoid((_place(skin.nose, z), 0, z), (0.015, 0.05, 0.05), "rim", detail=3))
-    z = shape.tail_rows[0] - 0.03
-    parts.append(ellipsoid((_place(skin.tail, z), 0, z), (0.012, 0.045, 0.045), "rim", detail=3))
+    half, nose, tail = shape.length / 2, shape.profile[0][1] - 0.09, shape.tail_rows[0] - 0.03
+    parts = [ellipsoid((_place(skin.nose, nose), 0, nose), (0.015, 0.05, 0.05), "rim", detail=3)]
+    parts.append(ellipsoid((_place(skin.tail, tail), 0, tail), (0.012, 0.045, 0.045), "rim", detail=3))
     head, foot = shape.profile[4:6]
     parts.append(box((half - head[0] - 0.05, 0, head[1] - 0.04), (0.06, 0.26, 0.022), "tail-lamp"))
     if rng.uniform() < 0.35:
         parts.append(box((half - head[0] + 0.25, 0, head[1] + 0.03), (0.1, 0.015, 0.06), "underbody"))
-    strips = rng.uniform() < 0.3
-    if strips:
+    if rng.uniform() < 0.3:  # rub strips
         low, high = shape.axles[0] + shape.wheel + 0.09, shape.axles[-1] - shape.wheel - 0.09
         middle = float(shape.sill + np.mean(shape.belt)) / 2
         strip = box((half - (low + high) / 2, shape.width / 2, middle), (high - low, 0.024, 0.055), "dark-metal")
         parts += both_sides(strip)
-    rails = rng.uniform() < 0.5
-    if rails and foot[0] - head[0] < 0.42 and head[0] > 3.8:  # estates, minivans, SUVs
+    if rng.uniform() < 0.5 and foot[0] - head[0] < 0.42 and head[0] > 3.8:  # estates, minivans, SUVs
         ends = np.array([half - head[0] + 0.15, half - shape.profile[2][0] - 0.25])
         x = np.array([ends[0], ends[0] + 0.12, ends[1] - 0.12, ends[1]])
         top = np.interp(half - x, *np.array(shape.profile[2:5]).T)
@@ -238,11 +235,8 @@ def semitrailer(rng: np.random.Generator, *, parked: bool) -> Mesh:
     length, wide, tall = 13.6, 2.5, 2.75
     bed = box((0, 0, 1.18), (length, wide, 0.14), "dark-metal")
     frame = box((-1.0, 0, 0.95), (length - 3.2, 1.0, 0.3), "underbody")
-    fill = (
-        boxed(length, wide, 1.25, tall, WHITE)
-        if rng.uniform() < 0.4
-        else covered(length, wide, 1.25, tall, pick(rng, TARPAULINS))
-    )
+    plain = rng.uniform() < 0.4
+    fill = (boxed if plain else covered)(length, wide, 1.25, tall, WHITE if plain else pick(rng, TARPAULINS))
     axles = [part for x in (-2.9, -4.2, -5.5) for part in axle(x, 1.0)]
     down = 1.15 if parked else 0.5
     legs = both_sides(box((3.4, 0.6, 1.155 - down / 2), (0.14, 0.14, down), "dark-metal"))
@@ -383,12 +377,12 @@ def truck(rng: np.random.Generator) -> Mesh:
     cab = replace(cab, vertices=cab.vertices * np.float32(scale))
     if articulated:
         bed = semitrailer(rng, parked=False)
-        tractor = [cab.placed((1.9, 0, 0)), _frame(3.6).placed((1.2, 0, 0)), *axle(-0.2, 1.0)]
+        tractor = [cab.placed((1.9, 0, 0)), box((1.2, 0, 0.72), (3.6, 0.8, 0.3), "underbody"), *axle(-0.2, 1.0)]
         return centred(merged([bed.placed((-1.25, 0, 0)), *(part.placed((5.15, 0, 0)) for part in tractor)], "truck"))
     length = float(rng.uniform(3.6, 4.8) if small else rng.uniform(4.6, 6.6))
     front = length / 2 + 1.2 * scale
     parts = [cab.placed((front + 0.05, 0, 0)), _cargo(rng, length, 0.92 * scale, scale)]
-    parts.append(_frame(length + 1.6 * scale).placed((0.8 * scale + 0.1, 0, 0)))
+    parts.append(box((0.8 * scale + 0.1, 0, 0.72), (length + 1.6 * scale, 0.8, 0.3), "underbody"))  # girders
     tandem = not small and rng.uniform() < 0.4
     for x in (0.5, -0.85) if tandem else (0.0,):
         parts += axle(x - 0.2 * length, scale)
@@ -424,9 +418,9 @@ def tram(rng: np.random.Generator) -> Mesh:
     panes = []
     for low, high in zip(joints[:-1] + 0.75, joints[1:] - 0.75, strict=True):
         ends = np.linspace(low, high, max(2, round((high - low) / 1.7)) + 1)
-        panes += [(float(a) + 0.04, float(b) - 0.04) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        panes += [(float(a) + 0.04, float(b) - 0.04) for a, b in pairwise(ends)]
     parts = [body(replace(TRAM, panes=tuple(panes)), tint).mesh]
-    for low, high in zip(joints[:-1], joints[1:], strict=True):
+    for low, high in pairwise(joints):
         middle = half - (low + high) / 2
         parts.append(box((middle, 0, 3.26), (0.6 * (high - low), 1.6, 0.3), "dark-metal"))
         parts.append(box((middle, 0, 0.25), (2.4, 2.0, 0.46), "underbody"))
@@ -434,13 +428,12 @@ def tram(rng: np.random.Generator) -> Mesh:
             parts += _door(middle + x * (high - low), side, 1.3, 0.34, 2.55)
     for joint in joints[1:-1]:
         parts.append(box((half - joint, 0, 1.72), (0.7, 2.44, 2.75), "rubber"))
-    band = box((0, 0, 2.72), (TRAM.length - 4.0, TRAM.width * 0.955, 0.16), "paint", WHITE)
-    parts.append(band)
-    low, high = (half - 6.5, 0.0, 3.45), (half - 5.2, 0.0, 4.2)
-    arms = [
-        tube(np.array([low, high, (low[0] + 0.1, 0, 4.95)]) + (0, y, 0), 0.03, "metal", sides=5) for y in (-0.3, 0.3)
-    ]
-    parts += [*arms, box((low[0] + 0.1, 0, 4.97), (0.3, 1.6, 0.05), "dark-metal")]
+    parts.append(box((0, 0, 2.72), (TRAM.length - 4.0, TRAM.width * 0.955, 0.16), "paint", WHITE))
+    back = half - 6.5  # of the pantograph
+    for y in (-0.3, 0.3):
+        arm = [(back, y, 3.45), (half - 5.2, y, 4.2), (back + 0.1, y, 4.95)]
+        parts.append(tube(arm, 0.03, "metal", sides=5))
+    parts.append(box((back + 0.1, 0, 4.97), (0.3, 1.6, 0.05), "dark-metal"))
     parts.append(box((half - 0.86, 0, 2.72), (0.25, 1.2, 0.24), "underbody"))
     parts.append(box((half - 0.72, 0, 2.72), (0.01, 0.9, 0.13), "light-yellow", (0.6, 0.6, 0.6)))
     return merged(parts, "tram")
@@ -448,11 +441,9 @@ def tram(rng: np.random.Generator) -> Mesh:
 
 def _door(x: float, y: float, wide: float, low: float, high: float) -> list[Mesh]:
     """A glazed double door in the right side at y, centred at x."""
-    middle, tall = (low + high) / 2, high - low
-    frame = box((x, y + 0.015, middle), (wide, 0.06, tall), "dark-metal")
-    leaf = wide / 2 - 0.1
+    middle, tall, leaf = (low + high) / 2, high - low, wide / 2 - 0.1
     glass = [box((x + s * wide / 4, y - 0.012, middle), (leaf, 0.02, tall - 0.16), "window") for s in (-1, 1)]
-    return [frame, *glass]
+    return [box((x, y + 0.015, middle), (wide, 0.06, tall), "dark-metal"), *glass]
 
 
 def _cab(rng: np.random.Generator, tint: Tint) -> Mesh:
@@ -466,11 +457,6 @@ def _cab(rng: np.random.Generator, tint: Tint) -> Mesh:
     visor = box((half - 0.2, 0, 2.66 * high), (0.18, 2.0, 0.05), "dark-metal")
     steps = box((half - 0.42, 1.19, 0.42), (0.45, 0.1, 0.1), "dark-metal")
     return merged([*parts, visor, *both_sides(merged([arm, mirror, steps]))])
-
-
-def _frame(length: float) -> Mesh:
-    """A lorry's girders."""
-    return box((0, 0, 0.72), (length, 0.8, 0.3), "underbody")
 
 
 def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float) -> Mesh:

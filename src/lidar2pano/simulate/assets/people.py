@@ -82,8 +82,9 @@ def shoulder_of(human: Human, pelvis: np.ndarray, neck: np.ndarray, side: int) -
 
 
 def lowest(human: Human, leg: Leg) -> float:
-    """How far the shoe\'s sole reaches down, as z in metres."""
-    return float(_sole(human, leg, np.array([[-0.07, 0, -0.075], [0.18, 0, -0.075], [0.06, 0, -0.075]]))[:, 2].min())
+    """How far the shoe's sole reaches down, as z in metres."""
+    sole = np.array([[-0.07, 0, -0.075], [0.18, 0, -0.075], [0.06, 0, -0.075]])
+    return float((leg.ankle + sole * human.size @ _foot_turn(leg))[:, 2].min())
 
 
 def figure(human: Human, pose: Pose, object_type: str, helmet: Tint | None = None) -> Mesh:
@@ -128,11 +129,10 @@ def _trunk(human: Human, pose: Pose) -> Mesh:
     spine = pose.pelvis + up[:, None] * (pose.neck - pose.pelvis)
     spine[:, 0] += bow
     rings = _rings(spine, wide * b, deep * b)
-    cut = 3  # the top's lower edge is at the waist; below it are trousers
-    top, bottom = human.top, human.top if human.legs == "coat" else human.bottom
-    shirt = rings[cut - 1 :].copy()
-    shirt[0] += (shirt[0] - spine[cut - 1]) * 0.06
-    return merged([_wrapped(rings[: cut + 1], bottom), _wrapped(shirt, top)])
+    shirt = rings[2:].copy()  # its lower edge is at the waist; below it are trousers
+    shirt[0] += (shirt[0] - spine[2]) * 0.06
+    trousers = _wrapped(rings[:4], human.top if human.legs == "coat" else human.bottom)
+    return merged([trousers, _wrapped(shirt, human.top)])
 
 
 def _head(human: Human, pose: Pose, object_type: str, helmet: Tint | None) -> list[Mesh]:
@@ -185,35 +185,30 @@ def _leg(human: Human, leg: Leg, object_type: str) -> list[Mesh]:
 
 def _arm(human: Human, arm: Arm) -> list[Mesh]:
     b = human.size * (0.55 + 0.45 * human.build)
-    joints = tuple(arm)
     shoulder = ellipsoid(arm.shoulder, np.array([0.06, 0.056, 0.058]) * b, "cloth", human.top, detail=5)
-    hand = ellipsoid(
-        arm.hand + (arm.hand - arm.elbow) * 0.14, np.array([0.045, 0.03, 0.055]) * b, "skin", human.skin, detail=4
-    )
+    palm = arm.hand + (arm.hand - arm.elbow) * 0.14
+    hand = ellipsoid(palm, np.array([0.045, 0.03, 0.055]) * b, "skin", human.skin, detail=4)
     places, radius = [0, 0.5, 0.92, 1.08, 1.4, 2], np.array([0.06, 0.053, 0.045, 0.043, 0.041, 0.032]) * b
     if not human.short_sleeves:
-        return [shoulder, hand, tube(_course(joints, places), radius * 1.08, "cloth", human.top)]
-    bare = tube(_course(joints, places), radius * 0.85, "skin", human.skin)
-    sleeve = tube(_course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", human.top)
+        return [shoulder, hand, tube(_course(arm, places), radius * 1.08, "cloth", human.top)]
+    bare = tube(_course(arm, places), radius * 0.85, "skin", human.skin)
+    sleeve = tube(_course(arm, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", human.top)
     return [shoulder, hand, bare, sleeve]
 
 
-def _sole(human: Human, leg: Leg, points: np.ndarray) -> np.ndarray:
-    """Points of the foot frame in the body frame, metres."""
+def _foot_turn(leg: Leg) -> np.ndarray:
+    """The rotation (3, 3) from the foot frame to the body frame, for rows."""
     c, s = np.cos(leg.pitch), np.sin(leg.pitch)
-    turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
-    return leg.ankle + points * human.size @ turn
+    return np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
 
 
 def _shoe(human: Human, leg: Leg) -> Mesh:
     shape = ellipsoid((0.055, 0, -0.035), (0.135, 0.05, 0.065), "rubber", tint_for(human.leather, 0.06, 0.4), detail=5)
     points = shape.vertices.astype(np.float64)
     points[:, 2] = np.clip(points[:, 2] - 0.25 * np.maximum(points[:, 0] - 0.03, 0), -0.075, None)
-    c, s = np.cos(leg.pitch), np.sin(leg.pitch)
-    turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
-    return replace(
-        shape, vertices=_sole(human, leg, points).astype(np.float32), normals=(shape.normals @ turn).astype(np.float32)
-    )
+    turn = _foot_turn(leg)
+    vertices = leg.ankle + points * human.size @ turn
+    return replace(shape, vertices=vertices.astype(np.float32), normals=(shape.normals @ turn).astype(np.float32))
 
 
 def _hem(human: Human, pose: Pose) -> Mesh:
@@ -226,8 +221,7 @@ def _hem(human: Human, pose: Pose) -> Mesh:
     spine = np.linspace(pose.pelvis + (0, 0, 0.1 * human.size), foot, 5)
     wide = np.array([0.15, 0.18, 0.19, 0.2, 0.21]) * b
     rings = _rings(spine, wide, np.linspace(0.118 * b, deep, 5) + np.array([0.0, 0.015, 0.012, 0.006, 0.0]))
-    tint = human.top if coat else human.bottom
-    return _wrapped(rings[::-1], tint)
+    return _wrapped(rings[::-1], human.top if coat else human.bottom)
 
 
 def _bag(human: Human, pose: Pose, object_type: str) -> list[Mesh]:

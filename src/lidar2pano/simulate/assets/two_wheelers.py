@@ -48,9 +48,8 @@ def motorcyclist(rng: np.random.Generator) -> Mesh:
     human = random_human(rng, child=False)
     height = float(np.clip(human.height, 1.62, 1.95))
     human = replace(human, height=height, legs="trousers", short_sleeves=False, build=human.build * 1.06)
-    return merged(
-        [mount.mesh, _rider(mount, human, "motorcyclist", _helmet(rng), rng.uniform(0.1, 0.3))], "ridden-motorcycle"
-    )
+    rider = _rider(mount, human, "motorcyclist", _helmet(rng), rng.uniform(0.1, 0.3))
+    return merged([mount.mesh, rider], "ridden-motorcycle")
 
 
 def _helmet(rng: np.random.Generator) -> Tint:
@@ -94,10 +93,8 @@ def _wheel(radius: float, tyre: float, spokes: int, wide: float) -> Mesh:
     out = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)
     side = np.stack([-np.sin(turn), 0 * turn, np.cos(turn)], axis=1) * wide / 2
     slant = np.array([0, 0.6 * tyre, 0]) * np.where(np.arange(spokes) % 2, 1, -1)[:, None]
-    corners = np.stack(
-        [0.03 * out - side + slant, 0.03 * out + side + slant, inner * out + side, inner * out - side], 1
-    )
-    fan = polygons(corners.reshape(-1, 3), np.arange(4 * spokes).reshape(-1, 4), "rim")
+    ends = [0.03 * out - side + slant, 0.03 * out + side + slant, inner * out + side, inner * out - side]
+    fan = polygons(np.stack(ends, 1).reshape(-1, 3), np.arange(4 * spokes).reshape(-1, 4), "rim")
     hub = lathe([(-0.045, 0.018), (-0.04, 0.028), (0.04, 0.028), (0.045, 0.018)], "rim", 8)
     rim = _ring(inner + 0.3 * tyre, 0.4 * tyre + 0.003, "rim", round_=4)
     return merged([_ring(radius, tyre, "rubber"), rim, fan, hub])
@@ -122,8 +119,7 @@ def _bicycle(rng: np.random.Generator) -> Mount:
     top, neck = (0.33, 0.0, 0.92), (0.375, 0.0, 0.72)
     rise, wide = 0.1 + 0.08 * draw[2], 0.26 + 0.05 * draw[3]
     bars = (top[0] - 0.02, 0.0, top[2] + rise)
-    side: list[Mesh] = []
-    side.append(_bar([seat, (back[0], 0.055, radius)], 0.008, "paint", tint))
+    side = [_bar([seat, (back[0], 0.055, radius)], 0.008, "paint", tint)]
     side.append(_bar([crank, (back[0], 0.055, radius)], 0.009, "paint", tint))
     side.append(_bar([neck, (0.4, 0.05, 0.66), (0.47, 0.055, 0.48), (ahead[0], 0.055, radius)], 0.012, "paint", tint))
     elbow = (bars[0] + 0.02, 0.7 * wide, bars[2] + 0.02)
@@ -131,8 +127,7 @@ def _bicycle(rng: np.random.Generator) -> Mount:
     side.append(_bar([bars, elbow, end], 0.011, "metal"))
     side.append(_bar([end, grip], 0.016, "rubber"))
     parts = [
-        _wheel(radius, 0.019, 16, 0.004).placed((back[0], 0, radius)),
-        _wheel(radius, 0.019, 16, 0.004).placed((ahead[0], 0, radius)),
+        *(_wheel(radius, 0.019, 16, 0.004).placed(hub) for hub in (back, ahead)),
         _bar([crank, neck], 0.019, "paint", tint),
         _bar([(-0.15, 0, 0.44), neck] if low else [seat, top], 0.016, "paint", tint),
         _bar([crank, seat], 0.017, "paint", tint),
@@ -146,25 +141,24 @@ def _bicycle(rng: np.random.Generator) -> Mount:
     ]
     if draw[4] < 0.75:
         dark: Tint = (0.05, 0.05, 0.05)
-        parts.append(_guard((back[0], 0, radius), radius + 0.02, 0.05, (0.9, 3.3), dark))
-        parts.append(_guard((ahead[0], 0, radius), radius + 0.02, 0.05, (0.7, 2.9), dark))
+        parts.append(_guard(back, radius + 0.02, 0.05, (0.9, 3.3), dark))
+        parts.append(_guard(ahead, radius + 0.02, 0.05, (0.7, 2.9), dark))
     if draw[5] < 0.7:
         parts += _rack(radius)
     if draw[6] < 0.25:
         parts.append(box((0.5, 0, 0.94), (0.28, 0.36, 0.22), "wood", open_sides=("top",)))
     turn = float(rng.uniform(0, 2 * np.pi))
-    pedals = [_pedal(turn + (0 if s > 0 else np.pi), s) for s in (1, -1)]
-    saddle, right = np.array([-0.31, 0, 0.98]), grip * (1, -1, 1)
-    feet = (pedals[0][1], pedals[1][1])
-    return Mount(merged([*parts, *(mesh for mesh, _ in pedals)]), saddle, (grip, right), feet)
+    (left, left_foot), (right, right_foot) = _pedal(turn, 1), _pedal(turn + np.pi, -1)
+    grips = (grip, grip * (1, -1, 1))
+    return Mount(merged([*parts, left, right]), np.array([-0.31, 0, 0.98]), grips, (left_foot, right_foot))
 
 
 def _rack(radius: float) -> list[Mesh]:
     """A luggage rack over the rear wheel, with its lamp."""
     z = 2 * radius + 0.07
     bar = _bar([(-0.3, 0.05, z), (-0.7, 0.05, z), (-0.53, 0.06, radius)], 0.006, "dark-metal")
-    tray, lamp = (-0.5, 0.0, z), (-0.72, 0, z - 0.04)
-    return [*both_sides(bar), box(tray, (0.38, 0.11, 0.008), "dark-metal"), box(lamp, (0.03, 0.07, 0.05), "tail-lamp")]
+    lamp = box((-0.72, 0, z - 0.04), (0.03, 0.07, 0.05), "tail-lamp")
+    return [*both_sides(bar), box((-0.5, 0.0, z), (0.38, 0.11, 0.008), "dark-metal"), lamp]
 
 
 def _pedal(turn: float, side: int) -> tuple[Mesh, np.ndarray]:
@@ -184,7 +178,7 @@ def _roadster(rng: np.random.Generator) -> Mount:
     radius, back, ahead = 0.31, (-0.72, 0.0, 0.31), (0.72, 0.0, 0.31)
     grip = np.array([0.28, 0.34 + 0.04 * draw[0], 1.03])
     side = [
-        _bar([ahead, (0.6, 0.1, 0.55), (0.44, 0.1, 0.95)], 0.026, "metal").placed((0, 0, 0)),
+        _bar([ahead, (0.6, 0.1, 0.55), (0.44, 0.1, 0.95)], 0.026, "metal"),
         _bar([(0.4, 0, 0.98), (0.39, 0.2, 1.04), (0.28, grip[1], 1.03)], 0.014, "dark-metal"),
         _bar([(0.3, grip[1] - 0.08, 1.03), (0.25, grip[1] + 0.04, 1.03)], 0.02, "rubber"),
         _bar([(0.36, 0.25, 1.05), (0.34, 0.36, 1.2)], 0.008, "dark-metal"),

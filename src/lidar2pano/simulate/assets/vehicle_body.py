@@ -20,6 +20,7 @@ from lidar2pano.simulate.scene.mesh import (
     merged,
     mesh,
     polygons,
+    quadrilaterals,
     quads_of,
     smooth_normals,
 )
@@ -155,24 +156,18 @@ def wheel(radius: float, width: float, spokes: int = 5, rim: float = 0.68) -> Me
     tyre += [(half, 0.93 * radius), (half + 0.004, 0.84 * radius), (half - 0.006, inner)]
     parts = [lathe(tyre, "rubber")]
     if spokes == 0:
-        cover = [
-            (half - 0.006, inner), (half + 0.006, 0.9 * inner), (half - 0.02, 0.6 * inner),
-            (half - 0.002, 0.25 * inner),
-        ]  # fmt: skip
-        parts.append(lathe([*cover, (half, 1e-3)], "rim"))
-        return merged(parts)
+        cover = [(half - 0.006, inner), (half + 0.006, 0.9 * inner), (half - 0.02, 0.6 * inner)]
+        return merged([*parts, lathe([*cover, (half - 0.002, 0.25 * inner), (half, 1e-3)], "rim")])
     ring = [(half - 0.006, inner), (half - 0.008, 0.9 * inner), (half - 0.05, 0.86 * inner)]
     parts.append(lathe(ring, "rim"))
     parts.append(lathe([(half - 0.05, 0.88 * inner), (half - 0.06, 1e-3)], "underbody", 10))
-    points, quads = [], []
+    points = []
     wide = np.clip(1.5 / spokes, 0.12, 0.3) * inner
     for angle in np.arange(spokes) * 2 * np.pi / spokes + 0.3:
         out, side = np.array([np.cos(angle), 0, np.sin(angle)]), np.array([-np.sin(angle), 0, np.cos(angle)])
-        for distance, y, w in ((0.0, half - 0.02, 1.25 * wide), (0.9 * inner, half - 0.012, wide)):
-            points += [out * distance - side * w / 2 + (0, y, 0), out * distance + side * w / 2 + (0, y, 0)]
-        quads.append(np.array([0, 1, 3, 2]) + len(points) - 4)
-    parts.append(polygons(np.array(points), np.array(quads), "rim"))
-    return merged(parts)
+        for distance, y, w in ((0.0, half - 0.02, -1.25 * wide), (0.9 * inner, half - 0.012, wide)):
+            points += [out * distance + side * w / 2 + (0, y, 0), out * distance - side * w / 2 + (0, y, 0)]
+    return merged([*parts, quadrilaterals(np.array(points), "rim")])
 
 
 def plate(x: float, z: float, forward: bool) -> Mesh:
@@ -182,9 +177,8 @@ def plate(x: float, z: float, forward: bool) -> Mesh:
     sign = 1.0 if forward else -1.0
     across, up = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.055, -0.055, 0.055, 0.055])
     points = np.stack([np.full(4, x + sign * 0.013), sign * across, z + up], axis=1)
-    uv = np.stack([across + 0.26, up + 0.07], axis=1)
-    normals = np.tile([sign, 0.0, 0.0], (4, 1))
-    return merged([frame, mesh(points, [(0, 1, 2), (0, 2, 3)], "plate", normals=normals, uv=uv)])
+    uv, normals = np.stack([across + 0.26, up + 0.07], axis=1), np.tile([sign, 0.0, 0.0], (4, 1))
+    return merged([frame, quadrilaterals(points, "plate", normals=normals, uv=uv)])
 
 
 ACROSS = np.array([0.0, 0.32, 0.62, 0.9, 1.0])  # places of the grids' lines between the middle and the edge
@@ -208,7 +202,10 @@ def body(shape: VehicleShape, tint: Tint) -> Body:
     ends = [_end(side[0], top[0]), _end(side[-1], top[-1])]
     grids = [_warped(shape, grid) for grid in (side, top, *ends)]
     names = [_side_cells(shape, x), _top_cells(shape, x)]
-    names += [_end_cells(patches) for patches in (shape.front, shape.rear)]
+    for patches in (shape.front, shape.rear):
+        names.append(np.full((ROWS - 1, len(ACROSS) - 1), "paint", dtype=object))
+        for patch in patches:
+            names[-1][slice(*patch.rows), slice(*patch.across)] = patch.material
     half = _skin(grids, names, [(0, 1, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0)], tint)
     lining = _lining(shape, grids[0], x, bottom)
     middle = [np.stack([grid[:, 0, 0], grid[:, 0, 2]], axis=1) for grid in grids[2:]]
@@ -235,14 +232,8 @@ def _top(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     crown = np.interp(x, [0, 0.5 * a, a, head, rear, end], np.array(shape.crown)[[0, 0, 0, 1, 1, 1]])
     edge = _half_widths(shape, x, z - crown)[0]
     v = ACROSS[None]
-    return np.stack(
-        [
-            shifted_x[:, None] + bend[:, None] * v**2 * min(1.0, shape.length / 3),
-            edge[:, None] * v,
-            z[:, None] - crown[:, None] * v**2.4,
-        ],
-        -1,
-    )
+    across = shifted_x[:, None] + bend[:, None] * v**2 * min(1.0, shape.length / 3)
+    return np.stack([across, edge[:, None] * v, z[:, None] - crown[:, None] * v**2.4], -1)
 
 
 def _half_widths(shape: VehicleShape, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,10 +256,9 @@ def _side(shape: VehicleShape, x: np.ndarray, bottom: np.ndarray, edge: np.ndarr
     door = [foot - 0.035, foot - 0.2 * tall, shape.sill + 0.5 * tall, shape.sill + 0.22 * tall]
     reach = min(0.5, 0.6 * overhang(shape))
     z = [edge[:, 2], np.maximum(edge[:, 2] - shape.frame, foot), foot]
+    blend = np.interp(x, [0.1, reach, shape.length - reach, shape.length - 0.1], [1, 0, 0, 1])
     for row, height in enumerate(door):
-        ends = [shape.nose_rows[row], shape.nose_rows[row]], [shape.tail_rows[row], shape.tail_rows[row]]
-        blend = np.interp(x, [0.1, reach, shape.length - reach, shape.length - 0.1], [1, 0, 0, 1])
-        level = height + blend * (np.where(x < shape.length / 2, ends[0][0], ends[1][0]) - height)
+        level = height + blend * (np.where(x < shape.length / 2, shape.nose_rows[row], shape.tail_rows[row]) - height)
         z.append(np.clip(level, bottom + 0.018 * (4 - row), foot - 0.018 * (row + 1)))
     z = np.stack([*z, bottom], axis=1)
     share = np.interp(
@@ -314,10 +304,9 @@ def _side_cells(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     cells[(middle > shape.profile[2][0]) & (middle < shape.profile[5][0]), :2] = shape.top
     for low, high in shape.panes:
         cells[(middle > low) & (middle < high), 1] = "window"
-    pillars = (
-        (middle > shape.panes[0][0]) & (middle < shape.panes[-1][1]) if shape.panes else np.zeros(len(middle), bool)
-    )
-    cells[pillars & (cells[:, 1] != "window"), 1] = "rubber"  # the pillars between two panes, black
+    if shape.panes:
+        pillars = (middle > shape.panes[0][0]) & (middle < shape.panes[-1][1]) & (cells[:, 1] != "window")
+        cells[pillars, 1] = "rubber"  # black, between two panes
     for seam in shape.seams:
         cells[np.abs(middle - seam - SEAM / 2) < SEAM / 2, 2 : ROWS - 1] = "underbody"
     cells[:, ROWS - 2] = shape.cladding
@@ -336,13 +325,6 @@ def _top_cells(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     glass = (middle > front[0]) & (middle < front[1])
     glass |= (middle > back[0]) & (middle < back[1]) & shape.rear_screen
     cells[glass, : len(ACROSS) - 2] = "window"
-    return cells
-
-
-def _end_cells(patches: tuple[Patch, ...]) -> np.ndarray:
-    cells = np.full((ROWS - 1, len(ACROSS) - 1), "paint", dtype=object)
-    for patch in patches:
-        cells[slice(*patch.rows), slice(*patch.across)] = patch.material
     return cells
 
 
