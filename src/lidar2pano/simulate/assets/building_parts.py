@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -94,21 +95,19 @@ class Boards:
     """The boards of one mesh."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, ...]] = []
-        self._finish: list[tuple[float, ...]] = []
+        self._rows: list[tuple[float, ...]] = []  # frame of the wall, extents, material and tint
         self._faces: list[str] = []
 
     def add(  # noqa: PLR0913 position, size and finish
         self, wall: Wall, along: Span, out: Span, up: Span, material: str, tint: Tint = PLAIN, faces: str = "flrtu"
     ) -> None:
         """A board; `faces` of it are built: front, k (back), left, right, top, under."""
-        self._rows.append((*wall.left, *wall.right, *wall.out, *along, *out, *up))
-        self._finish.append((MATERIAL_IDS[material], *tint))
+        self._rows.append((*wall.left, *wall.right, *wall.out, *along, *out, *up, MATERIAL_IDS[material], *tint))
         self._faces.append(faces)
 
     def mesh(self) -> Mesh:
         """All boards."""
-        rows, finish = np.array(self._rows).reshape(-1, 12), np.array(self._finish).reshape(-1, 4)
+        rows, finish = np.hsplit(np.array(self._rows).reshape(-1, 16), [12])
         board, face = np.nonzero(np.array([[name in faces for name in _FACES] for faces in self._faces]))
         low, size = rows[:, 6::2], rows[:, 7::2] - rows[:, 6::2]
         place = low[board, None] + _CORNERS[_ORDER[face]] * size[board, None]
@@ -241,13 +240,9 @@ def _door(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np
     (left, right), back = hole.along, -style.deep
     boards.add(wall, hole.along, (back, back), hole.up, "frame", style.frame, "f")
     boards.add(wall, (left + 0.06, right - 0.06), (back, back + 0.03), (hole.low, hole.high - 0.06), "door", style.door)
-    middle = hole.middle
-    panes = (
-        ((middle - 0.14, middle + 0.14), (hole.low + 0.5, hole.high - 0.3)),
-        ((left + 0.2, right - 0.2), (hole.low + 1.2, hole.high - 0.25)),
-        None,
-    )
-    if pane := pick(rng, panes):
+    narrow = ((hole.middle - 0.14, hole.middle + 0.14), (hole.low + 0.5, hole.high - 0.3))
+    wide = ((left + 0.2, right - 0.2), (hole.low + 1.2, hole.high - 0.25))
+    if pane := pick(rng, (narrow, wide, None)):
         boards.add(wall, pane[0], (back, back + 0.04), pane[1], "pane", PLAIN, "f")
     boards.add(wall, (right - 0.2, right - 0.16), (back, back + 0.08), (hole.low + 0.95, hole.low + 1.2), "metal")
 
@@ -288,9 +283,7 @@ def awning(wall: Wall, along: Span, up: float, out: float, tint: Tint) -> Mesh:
     left, right = along
     places = [(left, 0.05, up), (right, 0.05, up), (right, out, up - 0.55), (left, out, up - 0.55)]
     places += [(left, out + 0.01, up - 0.8), (right, out + 0.01, up - 0.8)]
-    corner = np.array(places)
-    points = wall.at(corner[:, 0], corner[:, 1], corner[:, 2])
-    return mesh(points, [(3, 2, 1), (3, 1, 0), (4, 5, 2), (4, 2, 3)], "tarpaulin", tint)
+    return polygons(wall.at(*np.array(places).T), [(3, 2, 1, 0), (4, 5, 2, 3)], "tarpaulin", tint)
 
 
 def shop_sign(rng: np.random.Generator, boards: Boards, wall: Wall, along: Span, low: float) -> None:
@@ -321,8 +314,7 @@ class Roof(NamedTuple):
     eaves: float
     slope: float
     overhang: tuple[float, float]
-    material: str
-    tint: Tint
+    finish: Finish
 
     @property
     def ridge(self) -> float:
@@ -348,9 +340,6 @@ class Roof(NamedTuple):
 
     def mesh(self) -> Mesh:
         """The roof with its ridge along y."""
-        return slabs(*self._outline(), (self.material, self.tint))
-
-    def _outline(self) -> tuple[np.ndarray, list[list[int]]]:
         out, verge = self.overhang
         x, low, high = self.span / 2 + out, self.eaves - self.slope * out, self.ridge
         y = self.long / 2 + (out if self.form == "hip" else verge)
@@ -360,15 +349,17 @@ class Roof(NamedTuple):
                 (x, -y, low), (x, y, low), (inner, y, self.cut), (0, end, high), (0, -end, high), (inner, -y, self.cut),
                 (-x, y, low), (-x, -y, low), (-inner, -y, self.cut), (-inner, y, self.cut),
             ]  # fmt: skip
-            return np.array(points), [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
+            slopes = [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
+            return slabs(np.array(points), slopes, self.finish)
         end = max(y - x, 0.05) if self.form == "hip" else y
         points = [(x, -y, low), (x, y, low), (0, end, high), (0, -end, high), (-x, y, low), (-x, -y, low)]
-        return np.array(points), [[0, 1, 2, 3], [4, 5, 3, 2], *([[1, 4, 2], [5, 0, 3]] if self.form == "hip" else [])]
+        slopes = [[0, 1, 2, 3], [4, 5, 3, 2], *([[1, 4, 2], [5, 0, 3]] if self.form == "hip" else [])]
+        return slabs(np.array(points), slopes, self.finish)
 
 
 def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: Finish) -> Mesh:
     """Slopes (polygons of points (N, 3), counter-clockwise from above) as one slab: covering, underside and edges."""
-    parts, edges = [], {}
+    parts, edges = [], list[tuple[int, int]]()
     for slope in slopes:
         corner = points[list(slope)]
         along = corner[1] - corner[0]
@@ -380,8 +371,7 @@ def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: Finish) -
         outside, fan = np.tile(normal, (len(corner), 1)), [(0, i, i + 1) for i in range(1, len(slope) - 1)]
         parts.append(mesh(corner + (0, 0, THICK), fan, *finish, normals=outside, uv=uv))
         parts.append(mesh(corner, np.flip(fan, 1), "wood", normals=-outside, uv=uv))
-        for pair in zip(slope, [*slope[1:], slope[0]], strict=True):
-            edges[pair] = True
+        edges += pairwise([*slope, slope[0]])
     rim = np.array([pair for pair in edges if pair[::-1] not in edges])
     a, b = points[rim[:, 0]], points[rim[:, 1]]
     sides = np.stack([a, b, b + (0, 0, THICK), a + (0, 0, THICK)], axis=1).reshape(-1, 3)
@@ -418,15 +408,17 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], fin
         boards.add(wall, side, (0.0, 0.045), (low + 0.27, low + height - 0.17), "pane", faces="f")
     y, top, out = width / 2 + 0.2, low + height, x + 0.25
     if width >= 2.0:  # one long slope, flatter than the roof
-        foot, head = (
-            [(out, -y, top - 0.1), (out, y, top - 0.1)],
-            [(x - back - 0.3, side, top + 0.4) for side in (y, -y)],
+        ends = (
+            (out, -y, top - 0.1),
+            (out, y, top - 0.1),
+            (x - back - 0.3, y, top + 0.4),
+            (x - back - 0.3, -y, top + 0.4),
         )
-        cover = slabs(np.array([*foot, *head]) + (0, place, 0), [[0, 1, 2, 3]], (roof.material, roof.tint))
+        cover = slabs(np.array(ends) + (0, place, 0), [[0, 1, 2, 3]], roof.finish)
         return merged([cheeks, boards.mesh(), cover])
     peak = top + 0.45 * width
     points = np.array([(end, *ridge) for end in (out, x - back - 1) for ridge in ((-y, top), (0, peak), (y, top))])
-    cover = slabs(points + (0, place, 0), [[4, 1, 2, 5], [1, 4, 3, 0]], (roof.material, roof.tint))
+    cover = slabs(points + (0, place, 0), [[4, 1, 2, 5], [1, 4, 3, 0]], roof.finish)
     gable = np.array([(x, -width / 2, top), (x, width / 2, top), (x, 0, peak)]) + (0, place, 0)
     return merged([cheeks, boards.mesh(), cover, mesh(gable, [(0, 1, 2)], *finish)])
 
@@ -523,10 +515,9 @@ def closed_walls(
     """The four walls with their openings filled."""
     parts = []
     for name, wall in shell.walls.items():
+        top, bends = flat_top(shell.eaves + 0.04), list[float]()
         if roof is not None and has_gable(roof, name):
             top, bends = roof.gable(wall.length)
-        else:
-            top, bends = flat_top(shell.eaves + 0.04), []
         parts.append(wall_with_openings(wall, DEEP, top, bends, holes[name], shell.finish))
         style = shell.style if name in shell.dressed else shell.style._replace(surround="")
         for hole in holes[name]:

@@ -40,6 +40,7 @@ from lidar2pano.simulate.assets.building_parts import (
 from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, merged
 from lidar2pano.simulate.scene.random_streams import pick
 
+COVER_SHARES = (0.35, 0.2, 0.15, 0.1, 0.12, 0.08)
 SANDSTONE: Tint = (1.25, 0.85, 0.72)
 SHEETS: tuple[Tint, ...] = (  # of halls
     (1.1, 1.1, 1.15), (0.8, 0.85, 0.95), (0.55, 0.57, 0.6), (0.95, 0.9, 0.75), (0.5, 0.65, 0.9), (1.1, 0.8, 0.6),
@@ -114,9 +115,9 @@ def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> 
 def _roof(rng: np.random.Generator, shell: Shell, width: float, depth: float) -> Roof:
     form = str(rng.choice(("gable", "hip", "half-hip"), p=(0.7, 0.16, 0.14))) if width > depth + 1.0 else "gable"
     steep = rng.uniform(0.45, 0.7) if form == "hip" or shell.storeys == 3 else rng.uniform(0.6, 1.1)
-    material, tint = pick(rng, COVERS, p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08))
+    finish = pick(rng, COVERS, p=COVER_SHARES)
     overhang = (rng.uniform(0.35, 0.7), rng.uniform(0.12, 0.5))
-    return Roof(form, width, depth, shell.eaves, min(steep, 9.0 / depth), overhang, material, tint)
+    return Roof(form, width, depth, shell.eaves, min(steep, 9.0 / depth), overhang, finish)
 
 
 def _entrance(rng: np.random.Generator, boards: Boards, wall: Wall, door: Opening) -> None:
@@ -189,7 +190,7 @@ def _wing(
     front, y = roof.span / 2 + out, middle - wall.length / 2
     back = roof.span / 2 - (eaves + slope * wide / 2 - roof.eaves) / roof.slope - 0.3
     walls = four_walls(wide, front - back, ((front + back) / 2, y))
-    gable = Roof("gable", front - back, wide, eaves, slope, (0.3, 0.3), roof.material, roof.tint)
+    gable = Roof("gable", front - back, wide, eaves, slope, (0.3, 0.3), roof.finish)
     parts = []
     for name in ("front", "left", "right"):
         top, bends = gable.gable(wide) if name == "front" else (flat_top(eaves + 0.04), [])
@@ -201,10 +202,8 @@ def _wing(
             fill_opening(boards, walls[name], hole, shell.style, rng)
     x, ridge, low = front + 0.3, eaves + slope * wide / 2, eaves - 0.3 * slope
     half = wide / 2 + 0.3
-    points = np.array(
-        [(x, -half, low), (x, 0, ridge), (x, half, low), (back, -half, low), (back, 0, ridge), (back, half, low)]
-    )
-    return [*parts, slabs(points + (0, y, 0), [[2, 5, 4, 1], [3, 0, 1, 4]], (roof.material, roof.tint))]
+    points = [(end, *line) for end in (x, back) for line in ((-half, low), (0, ridge), (half, low))]
+    return [*parts, slabs(np.array(points) + (0, y, 0), [[2, 5, 4, 1], [3, 0, 1, 4]], roof.finish)]
 
 
 def _on_roof(rng: np.random.Generator, roof: Roof, finish: Finish, *, plain: bool) -> list[Mesh]:
@@ -244,7 +243,7 @@ def garage(rng: np.random.Generator) -> Mesh:
         parts = closed_walls(rng, boards, shell, holes, None)
         parts.append(flat_roof(width, depth, shell.eaves - 0.2, (0.6, 0.6, 0.6)))
     else:
-        roof = Roof("gable", depth, width, shell.eaves, rng.uniform(0.4, 0.7), (0.25, 0.2), *pick(rng, COVERS[:4]))
+        roof = Roof("gable", depth, width, shell.eaves, rng.uniform(0.4, 0.7), (0.25, 0.2), pick(rng, COVERS[:4]))
         shell = shell._replace(walls=four_walls(depth, width))
         holes = {name: holes["front"] if name == "right" else [] for name in shell.walls}
         parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh(), boards.mesh()]
@@ -258,7 +257,7 @@ def shed(rng: np.random.Generator) -> Mesh:
     tint = pick(rng, ((1.2, 1.2, 1.2), (0.6, 0.65, 0.7), (0.9, 0.4, 0.35), (0.6, 0.9, 0.7)))
     style = window_style(rng, "none", tint)._replace(surround="", deep=0.04, door=tint)
     shell = Shell(four_walls(width, depth), ("wood", tint), style, 0.08, 1, height)
-    roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.35, 0.8), (0.25, 0.2), "slate", (1.6, 1.5, 1.4))
+    roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.35, 0.8), (0.25, 0.2), ("slate", (1.6, 1.5, 1.4)))
     holes: dict[str, list[Opening]] = {name: [] for name in shell.walls}
     holes["front"] = [Opening(0.7, 0.8, 0.08, 1.95, "door"), Opening(width - 0.7, 0.6, 1.1, 1.7)]
     boards = Boards()
@@ -376,8 +375,8 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
         return [flat_roof(width, depth, shell.eaves, shell.finish[1]), house.mesh()]
     slope = rng.uniform(0.7, 0.95) if era == "old" else rng.uniform(0.4, 0.65)
     form = "hip" if width > depth + 4 and rng.uniform() < 0.6 else "gable"
-    material, tint = pick(rng, COVERS, p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08))
-    roof = Roof(form, width, depth, shell.eaves, slope, (rng.uniform(0.3, 0.5), 0.15), material, tint)
+    finish = pick(rng, COVERS, p=COVER_SHARES)
+    roof = Roof(form, width, depth, shell.eaves, slope, (rng.uniform(0.3, 0.5), 0.15), finish)
     parts = [roof.mesh(), gutters(roof)]
     if form == "gable":
         parts += [_gable(shell, roof, name) for name in ("left", "right")]
@@ -386,8 +385,7 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
     reach = width / 2 - 2.0 - (depth / 2 if form == "hip" else 0.0)
     if era == "old" and reach > 0.5 and rng.uniform() < 0.8:
         places = np.linspace(-reach, reach, max(int(reach / 1.8), 1)) if reach > 1.8 else np.array([0.0])
-        rise = 0.9 * slope
-        parts += [dormer(roof, float(place), rise, (1.4, 1.45), ("slate", PLAIN)) for place in places]
+        parts += [dormer(roof, float(place), 0.9 * slope, (1.4, 1.45), ("slate", PLAIN)) for place in places]
     return parts
 
 
@@ -424,7 +422,7 @@ def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     if market or rng.uniform() < 0.6:
         parts.append(flat_roof(width, depth, height - 0.3, tint))
         return merged([*parts, boards.mesh()], "building")
-    roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.1, 0.25), (0.3, 0.2), "slate", (2.5, 2.5, 2.6))
+    roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.1, 0.25), (0.3, 0.2), ("slate", (2.5, 2.5, 2.6)))
     gables = [_gable(shell, roof, name) for name in ("left", "right")]
     return merged([*parts, roof.mesh(), *gables, boards.mesh()], "building")
 

@@ -20,6 +20,7 @@ BINS: tuple[tuple[Tint, Tint], ...] = (  # tints of body and lid
     ((0.3, 0.31, 0.32), (0.3, 0.31, 0.32)), ((0.3, 0.31, 0.32), (2.0, 1.5, 0.1)),
     ((0.3, 0.31, 0.32), (0.2, 0.5, 1.4)), ((0.5, 0.35, 0.22), (0.5, 0.35, 0.22)), ((0.25, 0.6, 0.3), (0.25, 0.6, 0.3)),
 )  # fmt: skip
+TUB = [(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (3, 2, 1, 0)]  # sides of a bin
 GREEN: Tint = (1.0, 3.0, 1.8)  # times dark metal: the green of old lamp posts
 UNLIT: dict[str, Tint] = {"light-red": (2.5, 0.7, 0.7), "light-yellow": (2.2, 1.6, 0.5), "light-green": (0.5, 1.7, 1.0)}
 RAISED = 0.003  # metres from one layer of a plate to the next
@@ -243,9 +244,8 @@ def street_lamp(rng: np.random.Generator) -> Mesh:
 def _low_lamp(rng: np.random.Generator, form: str) -> Mesh:
     height = rng.uniform(3.4, 4.6)
     tint = GREEN if rng.uniform() < 0.5 else (1.5, 1.5, 1.6)
-    parts = [
-        tube([(0, 0, -0.2), (0, 0, 0.8), (0, 0, 0.85), (0, 0, height)], [0.09, 0.08, 0.05, 0.04], "dark-metal", tint)
-    ]
+    course = [(0, 0, level) for level in (-0.2, 0.8, 0.85, height)]
+    parts = [tube(course, [0.09, 0.08, 0.05, 0.04], "dark-metal", tint)]
     if form == "post":
         parts.append(tube([(0, 0, height), (0, 0, height + 0.45)], [0.12, 0.2], "lamp", sides=6))
         parts.append(tube([(0, 0, height + 0.45), (0, 0, height + 0.65)], [0.24, 0.03], "dark-metal", tint, sides=6))
@@ -265,54 +265,45 @@ def pole(rng: np.random.Generator) -> Mesh:
     for i in range(int(rng.integers(1, 3))):
         z = height - 0.35 - 0.7 * i
         parts.append(box((lean[0], lean[1], z), (0.09, 1.5, 0.1), *finish))
-        for side in (-0.65, -0.3, 0.3, 0.65):
-            foot = (lean[0], lean[1] + side, z + 0.05)
-            parts.append(tube([foot, (foot[0], foot[1], foot[2] + 0.16)], 0.035, "plastic", (1.6, 1.6, 1.6)))
+        for y in lean[1] + np.array((-0.65, -0.3, 0.3, 0.65)):
+            foot = np.array((lean[0], y, z + 0.05))
+            parts.append(tube([foot, foot + (0, 0, 0.16)], 0.035, "plastic", (1.6, 1.6, 1.6)))
     return merged(parts, "pole")
 
 
 def traffic_light(rng: np.random.Generator) -> Mesh:
     """Lights towards +x, on a post; sometimes a second head on an arm over the road, to -y."""
-    lit = int(rng.choice(3, p=(0.5, 0.1, 0.4)))
+    lit = list(UNLIT)[int(rng.choice(3, p=(0.5, 0.1, 0.4)))]
     arm = bool(rng.uniform() < 0.3)
     height = rng.uniform(5.4, 5.8) if arm else rng.uniform(3.2, 3.6)
     paint: tuple[str, Tint] = ("metal", (0.85, 0.85, 0.85)) if rng.uniform() < 0.6 else ("dark-metal", GREEN)
     parts = [tube([(0, 0, -0.2), (0, 0, height)], 0.1 if arm else 0.06, *paint)]
-    parts.append(_head((0.16, 0, 2.65), lit, (1, 0)))
+    parts.append(_head((0.16, 0, 2.65), lit))
     if rng.uniform() < 0.6:
-        parts.append(_head((0, 0.16, 2.4), 2 if lit == 0 else 0, (0, 1), lamps=2, size=0.8))  # for those on foot
+        walk = "light-green" if lit == "light-red" else "light-red"
+        parts.append(_head((0, 0.16, 2.4), walk, walkers=True))
     if arm:
         reach = rng.uniform(2.5, 4.5)
         parts.append(tube([(0, 0, height - 0.15), (0, -reach, height + 0.15)], [0.07, 0.045], *paint))
-        parts.append(_head((0.14, 0.3 - reach, height + 0.05), lit, (1, 0), board=True))
+        parts.append(_head((0.14, 0.3 - reach, height + 0.05), lit, board=True))
     return merged(parts, "pole")
 
 
-def _head(
-    middle: tuple[float, float, float],
-    lit: int,
-    way: tuple[int, int],
-    *,
-    lamps: int = 3,
-    size: float = 1.0,
-    board: bool = False,
-) -> Mesh:
-    """A housing with lamps, red at the top; around `middle`; `lit`: index of the shining lamp; `way`: its direction."""
-    step = 0.3 * size
-    colours = list(UNLIT) if lamps == 3 else ["light-red", "light-green"]
-    lit = lit if lamps == 3 else min(lit, 1)
+def _head(middle: Point, lit: str, *, walkers: bool = False, board: bool = False) -> Mesh:
+    """A housing with lamps, red at the top; around `middle`; `lit`: the shining lamp; for `walkers`: small, to +y."""
+    size, lamps = (0.8, 2) if walkers else (1.0, 3)
+    step, colours = 0.3 * size, list(UNLIT)[:: 4 - lamps]
     parts = [box((0, 0, 0), (0.18, 0.3 * size, step * lamps + 0.04), "dark-metal", (0.7, 0.8, 0.7))]
     if board:
         parts.append(box((-0.04, 0, 0), (0.02, 0.55, step * lamps + 0.3), "dark-metal", (0.6, 0.6, 0.6)))
     for i, colour in enumerate(colours):
         z = step * ((lamps - 1) / 2 - i)
-        finish = (colour, PLAIN) if i == lit else ("light-off", UNLIT[colour])
+        finish = (colour, PLAIN) if colour == lit else ("light-off", UNLIT[colour])
         parts.append(tube([(0.09, 0, z), (0.1, 0, z)], 0.1 * size, *finish, sides=10))
         turn = np.linspace(-0.1, np.pi + 0.1, 7)
         rim = np.column_stack([np.zeros(7), 0.12 * size * np.cos(turn), z + 0.12 * size * np.sin(turn)])
         parts.append(loft(np.stack([rim + (0.09, 0, 0), rim + (0.26, 0, 0)]), "dark-metal", (0.6, 0.7, 0.6)))  # a hood
-    x, y, z = middle
-    return merged(parts, "traffic-light").placed((x, y, z), float(np.arctan2(way[1], way[0])))
+    return merged(parts, "traffic-light").placed(middle, np.pi / 2 if walkers else 0.0)
 
 
 def bollard(rng: np.random.Generator) -> Mesh:
@@ -336,24 +327,17 @@ def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the builtin is not need
         body, lid = pick(rng, BINS)
         large = rng.uniform() < 0.25
         width, deep, high = (0.58, 0.72, 1.0) if large else (0.48, 0.54, 0.93)
-        tub = _tapered((0.78 * deep, 0.8 * width), (deep, width), 0.06, high, body)
+        unit = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+        low, top = unit * (0.78 * deep, 0.8 * width), unit * (deep, width)
+        tub = polygons([*((*xy, 0.06) for xy in low), *((*xy, high) for xy in top)], TUB, "plastic", body)
         cover = box((0.02, 0, high + 0.035), (deep + 0.06, width + 0.04, 0.07), "plastic", lid)
         grip = box((-deep / 2 - 0.06, 0, high - 0.02), (0.08, 0.7 * width, 0.04), "plastic", body)
-        wheels = [
-            tube([(-deep / 2 + 0.08, y, 0.1), (-deep / 2 + 0.08, y + 0.05, 0.1)], 0.1, "rubber")
-            for y in (-0.45 * width, 0.45 * width - 0.05)
-        ]
+        x, ends = -deep / 2 + 0.08, (-0.45 * width, 0.45 * width - 0.05)
+        wheels = [tube([(x, y, 0.1), (x, y + 0.05, 0.1)], 0.1, "rubber") for y in ends]
         foot = box((0.3 * deep, 0, 0.03), (0.08, 0.6 * width, 0.08), "plastic", body)
         place = (float(rng.normal(0, 0.05)), 0.66 * (i - (count - 1) / 2), 0.0)
         parts.append(merged([tub, cover, grip, foot, *wheels]).placed(place, float(rng.normal(0, 0.08))))
     return merged(parts, "other-object")
-
-
-def _tapered(low: tuple[float, float], high: tuple[float, float], foot: float, top: float, tint: Tint) -> Mesh:
-    unit = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
-    points = np.concatenate([np.column_stack([unit * size, np.full(4, z)]) for size, z in ((low, foot), (high, top))])
-    sides = np.array([(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (3, 2, 1, 0)])
-    return polygons(points, sides, "plastic", tint)
 
 
 def bench(rng: np.random.Generator) -> Mesh:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -158,9 +158,8 @@ class _ShadingPoints:
 
     def subset(self, indices: np.ndarray) -> _ShadingPoints:
         """Some of the points."""
-        vectors = self.position, self.direction, self.normal, self.face_normal
-        a, b, c, d = (vector[:, indices] for vector in vectors)
-        return _ShadingPoints(self.hits.subset(indices), a, b, c, d, self.footprint_m[indices], self.facing[indices])
+        arrays = (getattr(self, part.name)[..., indices] for part in fields(self)[1:])
+        return _ShadingPoints(self.hits.subset(indices), *arrays)
 
 
 def shade(

@@ -223,10 +223,8 @@ def _tiles() -> Drawing:
     wave = np.cos(2 * np.pi * across)
     shade = 1 - 0.55 * _smooth(up, 0.86, 0.99) - 0.12 * _smooth(-wave, 0.3, 1)  # under the next row's edge
     moss = _smooth(spectral("moss", 1.2, 2), 1.0, 2.2)
-    factor = shade * (0.78 + 0.44 * cell_value + 0.06 * spectral("tiles", 0.8, 8))
-    return _coloured(factor * (1 - 0.3 * moss), cell_value - 0.5 - moss, (0.14, -0.04, -0.06)), 16 * (
-        1 - up
-    ) + 12 * wave
+    factor = shade * (0.78 + 0.44 * cell_value + 0.06 * spectral("tiles", 0.8, 8)) * (1 - 0.3 * moss)
+    return _coloured(factor, cell_value - 0.5 - moss, (0.14, -0.04, -0.06)), 16 * (1 - up) + 12 * wave
 
 
 def _stone() -> Drawing:
@@ -281,11 +279,8 @@ def _plate() -> Drawing:
     letter, across = np.floor(u * 9).astype(int), u * 9 % 1
     cell_values = stream(0, "plate").random((9, 5, 3))
     cell_values[[0, 8]] = 1
-    bars = (
-        cell_values[letter, np.minimum((v - 0.2) / 0.12, 4).clip(0).astype(int), np.floor(across * 3).astype(int)]
-        < 0.55
-    )
-    ink = bars & (np.abs(v - 0.5) < 0.3) & (np.abs(across - 0.5) < 0.38)
+    row, column = np.minimum((v - 0.2) / 0.12, 4).clip(0).astype(int), np.floor(across * 3).astype(int)
+    ink = (cell_values[letter, row, column] < 0.55) & (np.abs(v - 0.5) < 0.3) & (np.abs(across - 0.5) < 0.38)
     blue = np.where(u < 0.08, 1.0, 0.0)[..., None] * np.array((0.85, 0.7, 0.1), dtype=np.float32)
     return (1 - 0.93 * ink[..., None]) * (1 - blue), np.zeros_like(u)
 
@@ -426,31 +421,23 @@ def _pool() -> np.ndarray:
     pool[0] = STEP, STEP, STEP, MIDDLE, MIDDLE, 0, 0, 0
     drawings = [pattern.draw() for pattern in PATTERNS.values()] + [(draw(), None) for draw in WIDE.values()]
     for index, (factor, height_mm) in enumerate(drawings, start=1):
-        tile = np.zeros((SIZE, SIZE, 5), dtype=np.float32)
-        tile[..., :3] = _normalised(factor, index != TEXTURE_IDS["litter"])
+        rgb = np.broadcast_to(factor if factor.ndim == 3 else factor[..., None], (SIZE, SIZE, 3)).astype(np.float32)
+        for _ in range(0 if index == TEXTURE_IDS["litter"] else 2):  # to mean 1, within the range of a byte
+            rgb = np.clip(rgb / rgb.mean((0, 1)), 0, 255 / STEP)
+        tile = np.concatenate([rgb, np.zeros((SIZE, SIZE, 2), dtype=np.float32)], axis=-1)
         if height_mm is not None:
             tile[..., 3:] = _slopes(height_mm, _SIZES[index])
         for level in range(LEVELS):
-            texels = tile.reshape(-1, 5) * STEP + np.array(
-                (0.5, 0.5, 0.5, MIDDLE + 0.5, MIDDLE + 0.5), dtype=np.float32
-            )
+            texels = tile.reshape(-1, 5) * STEP + (np.array((0, 0, 0, MIDDLE, MIDDLE), dtype=np.float32) + 0.5)
             pool[index, _STARTS[level] : _STARTS[level + 1], :5] = np.clip(texels, 0, 255)
             if len(tile) > 1:
                 tile = (tile[::2, ::2] + tile[1::2, ::2] + tile[::2, 1::2] + tile[1::2, 1::2]) / 4
     return pool.view(np.uint64).reshape(-1)
 
 
-def _normalised(factor: np.ndarray, to_one: bool) -> np.ndarray:
-    """The factor in three channels, within the range of a byte, scaled to mean 1."""
-    factor = np.broadcast_to(factor if factor.ndim == 3 else factor[..., None], (SIZE, SIZE, 3)).astype(np.float32)
-    for _ in range(2 if to_one else 0):
-        factor = np.clip(factor / factor.mean((0, 1)), 0, 255 / STEP)
-    return factor
-
-
 def _slopes(height_mm: np.ndarray, size_m: tuple[float, float]) -> np.ndarray:
     """Slopes along u and v of a height map."""
-    runs = (size_m[0] * 2000 / SIZE, size_m[1] * 2000 / SIZE)
-    rise = [np.roll(height_mm, -1, axis) - np.roll(height_mm, 1, axis) for axis in (1, 0)]
-    slope = np.stack([rise[0] / runs[0], rise[1] / runs[1]], axis=-1).clip(-1.2, 1.2)
+    rises = [np.roll(height_mm, -1, axis) - np.roll(height_mm, 1, axis) for axis in (1, 0)]
+    slopes = [rise / (size * 2000 / SIZE) for rise, size in zip(rises, size_m, strict=True)]
+    slope = np.stack(slopes, axis=-1).clip(-1.2, 1.2)
     return slope - slope.mean((0, 1))
