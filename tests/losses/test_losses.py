@@ -10,11 +10,9 @@ from golden_fill import sym
 from golden_vectors import facts, recorded
 from lidar2pano.losses import (
     critic_wasserstein,
-    feature_matching,
     generator_wasserstein,
     gradient_penalty,
     hinge_critic,
-    hinge_generator,
     lovasz_softmax,
     supervised,
 )
@@ -265,16 +263,3 @@ def test_wasserstein_and_hinge_of_two_patches():
     assert critic_wasserstein(real, fake) == -2.0  # -1 - 1
     assert generator_wasserstein(fake) == 1.0
     assert hinge_critic(real, fake) == 1.5  # (0 + 1) / 2 + (0 + 2) / 2
-    assert hinge_generator(fake) == 1.0
-
-
-def test_feature_matching_of_two_layers():
-    real = [torch.tensor([[1.0, 2.0]], requires_grad=True), torch.tensor([[[5.0]]], requires_grad=True)]
-    fake = [torch.tensor([[2.0, 0.0]], requires_grad=True), torch.tensor([[[1.0]]], requires_grad=True)]
-    loss = feature_matching(real, fake)
-    loss.backward()
-    assert loss == 5.5  # (1 + 2) / 2 + 4 / 1
-    assert fake[0].grad.tolist() == [[0.5, -0.5]]
-    assert real[0].grad is None
-    with pytest.raises(ValueError, match="argument"):
-        feature_matching(real, fake[:1])

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from lidar2pano.losses.adversarial import (
     critic_wasserstein,
-    feature_matching,
     generator_wasserstein,
     gradient_penalty,
     hinge_critic,
-    hinge_generator,
 )
 from lidar2pano.losses.painting import Patches, PatchStatistics, pooled
 from lidar2pano.losses.supervised import lovasz_softmax
@@ -22,11 +20,9 @@ __all__ = [
     "PatchStatistics",
     "Patches",
     "critic_wasserstein",
-    "feature_matching",
     "generator_wasserstein",
     "gradient_penalty",
     "hinge_critic",
-    "hinge_generator",
     "lovasz_softmax",
     "pooled",
 ]

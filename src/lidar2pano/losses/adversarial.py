@@ -7,7 +7,7 @@ real and a generated image of one sample share their parameters, since feature m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Self
@@ -55,28 +55,13 @@ def critic_wasserstein(real_scores: Tensor, fake_scores: Tensor) -> Tensor:
 
 
 def generator_wasserstein(fake_scores: Tensor) -> Tensor:
-    """-E[D(fake)]: Gulrajani et al. 2017, Algorithm 1 line 12."""
+    """-E[D(fake)]: Gulrajani et al. 2017, Algorithm 1 line 12; it goes with `hinge_critic`, too."""
     return -fake_scores.mean()
 
 
 def hinge_critic(real_scores: Tensor, fake_scores: Tensor) -> Tensor:
     """E[max(0, 1 - D(real))] + E[max(0, 1 + D(fake))]: Lim and Ye 2017 (arXiv:1705.02894), section 3."""
     return F.relu(1 - real_scores).mean() + F.relu(1 + fake_scores).mean()
-
-
-def hinge_generator(fake_scores: Tensor) -> Tensor:
-    """-E[D(fake)]: Lim and Ye 2017; the same as `generator_wasserstein`."""
-    return -fake_scores.mean()
-
-
-def feature_matching(real_features: Sequence[Tensor], fake_features: Sequence[Tensor]) -> Tensor:
-    """E[sum over layers i of |D_i(real) - D_i(fake)|_1 / N_i], N_i the elements of layer i, of one critic.
-
-    Wang et al. 2018 (arXiv:1711.11585), equation 4. The real side is a target: no gradient goes through it.
-    Raises ValueError when the two sides differ in layers.
-    """
-    pairs = zip(real_features, fake_features, strict=True)
-    return torch.stack([F.l1_loss(fake, real.detach()) for real, fake in pairs]).sum()
 
 
 def wasserstein_updates(

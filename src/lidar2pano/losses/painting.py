@@ -20,9 +20,6 @@ from torch import Tensor
 from torch.nn import functional as F
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
-from lidar2pano.geometry.rasters import warp
-from lidar2pano.losses.adversarial import feature_matching
-
 PATCH, STRIDE = 8, 4  # of a patch, in pixels of the features' raster
 KEPT = 0.99  # of the statistics, from one batch to the next
 RIDGE = 1e-2  # of the mean variance, added to every painted one
@@ -172,8 +169,11 @@ def matched_features(real: Outputs, fake: Outputs) -> Tensor:
 
     Wang et al. 2018 (arXiv:1711.11585), equation 4; no gradient goes through the real side.
     """
-    pairs = zip(real, fake, strict=True)
-    return torch.stack([4 * feature_matching(r[:-1], f[:-1]) / len(f[:-1]) for r, f in pairs]).mean()
+    losses = []
+    for r, f in zip(real, fake, strict=True):
+        gaps = [F.l1_loss(layer, goal.detach()) for goal, layer in zip(r[:-1], f[:-1], strict=True)]
+        losses.append(4 * torch.stack(gaps).sum() / len(gaps))
+    return torch.stack(losses).mean()
 
 
 def masked_l1(a: Tensor, b: Tensor, mask: Tensor) -> Tensor:
@@ -182,34 +182,6 @@ def masked_l1(a: Tensor, b: Tensor, mask: Tensor) -> Tensor:
     a, b  (B, C, H, W);  mask (B, H, W) in [0, 1].
     """
     return ((a - b).abs() * mask[:, None]).mean()
-
-
-def flow_loss(flow: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
-    """Distance of a flow (B, 2, H, W) from the reference, pixels: equation 8 of the paper, first part."""
-    return masked_l1(flow, reference, mask)
-
-
-def warping_loss(flow: Tensor, previous: Tensor, present: Tensor, mask: Tensor, *, circular: bool = False) -> Tensor:
-    """Distance of the real image (B, 3, H, W) from the previous one, warped by a flow: equation 8, second part."""
-    return masked_l1(warp(previous, flow, circular=circular), present, mask)
-
-
-def coherence_loss(
-    present: Tensor, previous: Tensor, reference: Tensor, mask: Tensor, *, circular: bool = False
-) -> Tensor:
-    """Distance of a painted image (B, 3, H, W) from the previous painted one, warped by the reference flow.
-
-    In the published code only (G_Warp); no gradient goes into the image before.
-    """
-    return masked_l1(present, warp(previous, reference, circular=circular).detach(), mask)
-
-
-def mask_loss(weight: Tensor, mask: Tensor) -> Tensor:
-    """Mean of the share (B, 1, H, W) of new pixels inside the mask of known flow, whose warped image should be kept.
-
-    In the published code only (loss W, with --no_first_img).
-    """
-    return masked_l1(weight, torch.zeros_like(weight), mask)
 
 
 def perceptual(fake: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:

@@ -21,7 +21,7 @@ from lidar2pano.data.photographs import FACTOR, PhotographCrop, PhotographDatase
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import as_image
 from lidar2pano.hardware import fast_arithmetic
-from lidar2pano.losses import hinge_critic, hinge_generator
+from lidar2pano.losses import generator_wasserstein, hinge_critic
 from lidar2pano.losses.adversarial import frozen
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
@@ -159,7 +159,7 @@ class Texture:
     def adversarial_loss(self, critic: nn.Module) -> Tensor:
         """Return the loss of pictures that do not look real to the critic, whose gradients would be discarded."""
         with frozen(critic):
-            return _mean([hinge_generator(score.float()) for score in critic(self.latents, *self.of_made)])
+            return _mean([generator_wasserstein(score.float()) for score in critic(self.latents, *self.of_made)])
 
 
 def _mean(losses: list[Tensor]) -> Tensor:

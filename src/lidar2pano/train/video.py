@@ -5,7 +5,7 @@ The painter learns from classes and its own previous images, against discriminat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -26,14 +26,11 @@ from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import pooled
 from lidar2pano.losses.painting import (
-    coherence_loss,
-    flow_loss,
     least_squares_critic,
     least_squares_generator,
-    mask_loss,
+    masked_l1,
     matched_features,
     perceptual,
-    warping_loss,
 )
 from lidar2pano.models.card import load
 from lidar2pano.models.frozen_features import read_vgg
@@ -111,98 +108,23 @@ class PaintedFrame(NamedTuple):
     weight: Tensor
 
 
-class TemporalInput(NamedTuple):
-    """The input of a temporal discriminator: three images and the flows between them, (B, 13, H, W) each."""
-
-    real: Tensor
-    fake: Tensor
-
-
-class VideoLosses:
-    """The losses of discriminators and painter, as published.
-
-    networks  the task's, by role; the loop may replace them.
-    options   the weights of the losses, and the file of VGG-19 ("": there is no perceptual loss).
-    circular  whether the last column of an image meets its first.
-    """
-
-    def __init__(self, networks: Mapping[str, nn.Module], options: VideoOptions, *, circular: bool) -> None:
-        self.networks, self.options, self.circular = networks, options, circular
-        self.vgg = read_vgg(options.vgg_weights) if options.vgg_weights else None
-        self.logs: dict[str, Tensor] = {}
-
-    def steps(self, painted: int) -> list[int]:
-        """Frames between the images of each temporal discriminator; InputError when `painted` frames are too few."""
-        numbers = [role.removeprefix(TEMPORAL) for role in self.networks if role.startswith(TEMPORAL)]
-        if wrong := [number for number in numbers if not number.isdecimal() or not int(number)]:
-            raise InputError(f"network {TEMPORAL}{wrong[0]}: its name must end in a number of frames, as temporal_3")
-        steps = sorted(int(number) for number in numbers)
-        if steps and painted < 2 * steps[-1] + 1:
-            raise InputError(
-                f"network {TEMPORAL}{steps[-1]}: of {painted} painted frames no three are {steps[-1]} apart; "
-                f"set options.clip_length to {2 * steps[-1] + 3} or more"
-            )
-        return steps
-
-    def updates(self, frame: PaintedFrame, inputs: Mapping[int, TemporalInput]) -> Iterator[tuple[str, Tensor]]:
-        """The image discriminator, the temporal ones, the painter.
-
-        inputs  real and painted images of each temporal one (`temporal_input`), by the frames between them.
-        """
-        self.logs = {}
-        true, *generated = (torch.cat([frame.labels, image], 1) for image in (frame.real, frame.fake, frame.raw))
-        real = self.discriminated("critic", true)
-        fakes = [self.discriminated("critic", fake.detach()) for fake in generated]
-        yield "critic", _sum([least_squares_critic(real, fake) for fake in fakes])
-        temporal = [(f"{TEMPORAL}{step}", *pair) for step, pair in inputs.items()]
-        for role, real, fake in temporal:
-            yield role, least_squares_critic(self.discriminated(role, real), self.discriminated(role, fake.detach()))
-        pairs = [*(("critic", true, fake) for fake in generated), *temporal]
-        losses = self.reconstruction(frame)
-        adversarial = [self.adversarial(*pair) for pair in pairs]
-        losses["adversarial"] = _sum([loss for loss, _ in adversarial])
-        losses["feature_matching"] = self.options.feature_matching * _sum([features for _, features in adversarial])
-        self.logs = {name: loss.detach() for name, loss in losses.items()}
-        yield "painter", _sum(list(losses.values()))
-
-    def reconstruction(self, frame: PaintedFrame) -> dict[str, Tensor]:
-        """The painter's losses without a discriminator, by name, weighted; those of weight 0 are left out."""
-        options, circular = self.options, self.circular
-        shift, flow_known = frame.flow.shift, frame.flow.known
-        losses: dict[str, Tensor] = {}
-        if options.flow:
-            flow = flow_loss(frame.fake_flow, shift, flow_known)
-            flow += warping_loss(frame.fake_flow, frame.real_before, frame.real, flow_known, circular=circular)
-            losses["flow"] = options.flow * flow
-        if options.coherence:
-            coherence = coherence_loss(frame.fake, frame.fake_before, shift, frame.coherent, circular=circular)
-            losses["coherence"] = options.coherence * coherence
-        if options.mask:
-            losses["mask"] = options.mask * mask_loss(frame.weight, frame.coherent)
-        if options.pixels:
-            losses["pixels"] = options.pixels * (l1_loss(frame.fake, frame.real) + l1_loss(frame.raw, frame.real))
-        if options.perceptual and self.vgg is not None:
-            self.vgg.to(frame.real.device)
-            real = self.vgg(frame.real)
-            parts = [perceptual(self.vgg(fake), real) for fake in (frame.fake, frame.raw)]
-            losses["perceptual"] = options.perceptual * _sum(parts)
-        return losses
-
-    def adversarial(self, role: str, real: Tensor, fake: Tensor) -> tuple[Tensor, Tensor]:
-        """The painter's least-squares and feature-matching losses against one discriminator."""
-        with torch.no_grad():
-            on_real = self.discriminated(role, real)
-        on_fake = self.discriminated(role, fake)
-        return least_squares_generator(on_fake), matched_features(on_real, on_fake)
-
-    def discriminated(self, role: str, images: Tensor) -> list[list[Tensor]]:
-        """A discriminator's outputs in float32: per scale, the features of every layer, scores last."""
-        return [[layer.float() for layer in scale] for scale in self.networks[role](images)]
-
-
 def temporal_input(images: list[Tensor], flows: list[Flow]) -> Tensor:
     """Images (B, 3, H, W) and the flows between them as a temporal discriminator reads them, the earliest first."""
     return torch.cat([*images, *(flow.shift / FLOW_PX for flow in flows)], 1)
+
+
+def temporal_steps(roles: Iterable[str], painted: int) -> list[int]:
+    """Frames between the images of each temporal discriminator; InputError when `painted` frames are too few."""
+    numbers = [role.removeprefix(TEMPORAL) for role in roles if role.startswith(TEMPORAL)]
+    if wrong := [number for number in numbers if not number.isdecimal() or not int(number)]:
+        raise InputError(f"network {TEMPORAL}{wrong[0]}: its name must end in a number of frames, as temporal_3")
+    steps = sorted(int(number) for number in numbers)
+    if steps and painted < 2 * steps[-1] + 1:
+        raise InputError(
+            f"network {TEMPORAL}{steps[-1]}: of {painted} painted frames no three are {steps[-1]} apart; "
+            f"set options.clip_length to {2 * steps[-1] + 3} or more"
+        )
+    return steps
 
 
 def _sum(losses: list[Tensor]) -> Tensor:
@@ -229,8 +151,8 @@ class VideoPainting:
         )
         self.dataset, self.validation = (self._clips(root, splits) for splits in (recipe.data.train, recipe.data.val))
         self.networks = build_networks(recipe)
-        self.losses = VideoLosses(self.networks, options, circular=self.framing.circular)
-        self.steps = self.losses.steps(options.clip_length - PREVIOUS)
+        self.steps = temporal_steps(self.networks, options.clip_length - PREVIOUS)
+        self.vgg = read_vgg(options.vgg_weights) if options.vgg_weights else None
         self.first = _first_frames(options.first_frame_weights) if options.first_frame_weights else None
         self.logs: dict[str, float | Tensor] = {}
 
@@ -245,17 +167,75 @@ class VideoPainting:
         blank = torch.rand(len(labels), device=labels.device) < self.options.no_previous_probability
         previous = batch.image[:, :PREVIOUS].masked_fill(blank[:, None, None, None, None], 0)
         painted: list[Tensor] = []
-        sums: dict[str, list[Tensor]] = {}
+        sums: dict[str, list[Any]] = {}
         for now in range(PREVIOUS, self.options.clip_length):
             frame = self.frame(batch, labels, previous, now, blank & (now == PREVIOUS))
             painted.append(frame.fake)
             inputs = {step: self.temporal(batch, painted, step) for step in self.steps if len(painted) > 2 * step}
-            yield from self.losses.updates(frame, inputs)
-            for name, value in self.losses.logs.items():
+            yield from self.frame_updates(frame, inputs)
+            for name, value in self.logs.items():
                 sums.setdefault(name, []).append(value)
             painted[-1] = frame.fake.detach()
             previous = torch.cat([previous[:, 1:], painted[-1][:, None]], 1)
         self.logs = {name: torch.stack(values).mean() for name, values in sums.items()}
+
+    def frame_updates(
+        self, frame: PaintedFrame, inputs: Mapping[int, tuple[Tensor, Tensor]]
+    ) -> Iterator[tuple[str, Tensor]]:
+        """The image discriminator, the temporal ones, the painter.
+
+        inputs  real and painted images of each temporal one (`temporal`), by the frames between them.
+        """
+        true, *generated = (torch.cat([frame.labels, image], 1) for image in (frame.real, frame.fake, frame.raw))
+        real = self.discriminated("critic", true)
+        fakes = [self.discriminated("critic", fake.detach()) for fake in generated]
+        yield "critic", _sum([least_squares_critic(real, fake) for fake in fakes])
+        temporal = [(f"{TEMPORAL}{step}", *pair) for step, pair in inputs.items()]
+        for role, real, fake in temporal:
+            yield role, least_squares_critic(self.discriminated(role, real), self.discriminated(role, fake.detach()))
+        losses = self.reconstruction(frame)
+        adversarial, features = [], []
+        for role, real, fake in [*(("critic", true, fake) for fake in generated), *temporal]:
+            with torch.no_grad():
+                on_real = self.discriminated(role, real)
+            on_fake = self.discriminated(role, fake)
+            adversarial.append(least_squares_generator(on_fake))
+            features.append(matched_features(on_real, on_fake))
+        losses["adversarial"] = _sum(adversarial)
+        losses["feature_matching"] = self.options.feature_matching * _sum(features)
+        self.logs = {name: loss.detach() for name, loss in losses.items()}
+        yield "painter", _sum(list(losses.values()))
+
+    def reconstruction(self, frame: PaintedFrame) -> dict[str, Tensor]:
+        """The painter's losses without a discriminator, by name, weighted; those of weight 0 are left out.
+
+        flow                 equation 8 of the paper, both parts;  perceptual, pixels: of `fake` and `raw`.
+        coherence, mask      in the published code only (G_Warp, and loss W with --no_first_img): `fake` is near the
+                             warped image before, of which `weight` leaves most where the flow is known.
+        """
+        options, circular, flow_known = self.options, self.framing.circular, frame.flow.known
+        losses: dict[str, Tensor] = {}
+        if options.flow:
+            warped = warp(frame.real_before, frame.fake_flow, circular=circular)
+            flow = masked_l1(frame.fake_flow, frame.flow.shift, flow_known)
+            losses["flow"] = options.flow * (flow + masked_l1(warped, frame.real, flow_known))
+        if options.coherence:
+            warped = warp(frame.fake_before, frame.flow.shift, circular=circular).detach()
+            losses["coherence"] = options.coherence * masked_l1(frame.fake, warped, frame.coherent)
+        if options.mask:
+            losses["mask"] = options.mask * masked_l1(frame.weight, torch.zeros_like(frame.weight), frame.coherent)
+        if options.pixels:
+            losses["pixels"] = options.pixels * (l1_loss(frame.fake, frame.real) + l1_loss(frame.raw, frame.real))
+        if options.perceptual and self.vgg is not None:
+            self.vgg.to(frame.real.device)
+            real = self.vgg(frame.real)
+            parts = [perceptual(self.vgg(fake), real) for fake in (frame.fake, frame.raw)]
+            losses["perceptual"] = options.perceptual * _sum(parts)
+        return losses
+
+    def discriminated(self, role: str, images: Tensor) -> list[list[Tensor]]:
+        """A discriminator's outputs in float32: per scale, the features of every layer, scores last."""
+        return [[layer.float() for layer in scale] for scale in self.networks[role](images)]
 
     def frame(self, batch: ClipSample, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> PaintedFrame:
         """Paint frame `now` after the images `previous` (B, 2, 3, H, W).
@@ -264,13 +244,13 @@ class VideoPainting:
         """
         output = self.networks["painter"](labels[:, now - PREVIOUS : now + 1], previous)
         image, flow, weight, raw = (part.float() for part in output)
-        flow_known = batch.known[:, now]
+        reference = self.flow_over(batch, now, 1)
         return PaintedFrame(
             labels=labels[:, now],
             real=batch.image[:, now],
             real_before=batch.image[:, now - 1],
-            flow=Flow(shift=batch.shift[:, now], known=flow_known),
-            coherent=flow_known.masked_fill(first[:, None, None], 0),
+            flow=reference,
+            coherent=reference.known.masked_fill(first[:, None, None], 0),
             fake=torch.where(first[:, None, None, None], raw, image),
             raw=raw,
             fake_before=previous[:, -1],
@@ -278,13 +258,13 @@ class VideoPainting:
             weight=weight,
         )
 
-    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> TemporalInput:
-        """The camera's last image and two before it, `step` frames apart, and the same of the painted ones."""
+    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> tuple[Tensor, Tensor]:
+        """The input for the camera's last image and two before it, `step` frames apart, and that for the painted ones."""
         now = PREVIOUS + len(painted) - 1
         flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
         real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
         fake = [painted[-1 - back * step] for back in (2, 1, 0)]
-        return TemporalInput(real=temporal_input(real, flows), fake=temporal_input(fake, flows))
+        return temporal_input(real, flows), temporal_input(fake, flows)
 
     def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """Reference flow of a frame to the frame `step` earlier."""
