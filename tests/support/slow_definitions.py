@@ -90,15 +90,13 @@ def vote_slowly(
 # --- losses and the confusion matrix --------------------------------------------------------------------------------
 
 
-def lovasz_softmax_slowly(
-    probabilities: torch.Tensor, target: torch.Tensor, ignore: int | None = None, classes: str = "present"
-) -> torch.Tensor:
+def lovasz_softmax_slowly(probabilities: torch.Tensor, target: torch.Tensor, ignore: int | None = None) -> torch.Tensor:
     """Berman et al. 2018, equations 8, 9 and 11, of (B, C, H, W) and (B, H, W), differentiated by autograd."""
     kept = torch.ones_like(target, dtype=torch.bool) if ignore is None else target != ignore
     losses = []
     for c in range(probabilities.shape[1]):
         own = (target == c)[kept].to(probabilities.dtype)
-        if classes == "present" and not own.any():
+        if not own.any():
             continue
         error, order = (own - probabilities[:, c][kept]).abs().sort(descending=True)
         own = own[order]

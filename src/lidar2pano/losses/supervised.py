@@ -5,9 +5,7 @@ Lovasz-Softmax is exact, and fast on the CPU.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
 
 import numpy as np
 import torch
@@ -51,23 +49,13 @@ POSITIVE_INFINITY = 0x7F800000  # the bits of float32 +inf: above those of every
 TINIEST = np.float32(np.finfo(np.float32).smallest_subnormal)
 
 
-def lovasz_softmax(
-    probabilities: Tensor,
-    target: Tensor,
-    *,
-    ignore: int | Sequence[int] | None = None,
-    classes: Literal["present", "all"] = "present",
-    per_image: bool = False,
-) -> Tensor:
-    """A convex surrogate of 1 - IoU, averaged over classes.
+def lovasz_softmax(probabilities: Tensor, target: Tensor, *, ignore: int | None = None) -> Tensor:
+    """A convex surrogate of 1 - IoU of a batch, averaged over the classes with a pixel.
 
     Berman, Triki, Blaschko 2018 (arXiv:1705.08790), equations 8, 9 and 11; computed in float32 under autocast too.
 
     probabilities  (B, C, H, W) float in [0, 1], after the softmax; float32, bfloat16 or float16.
-    target         (B, H, W) integer; pixels whose id is in `ignore` or outside [0, C) are left out altogether.
-    classes        "present": the mean over classes with a pixel; "all": over C, each class without a pixel costing
-                   its largest probability anywhere.
-    per_image      the mean of each image's own loss (over images with a pixel left) instead of one loss of the batch.
+    target         (B, H, W) integer; pixels whose id is `ignore` or outside [0, C) are left out altogether.
     Returns a scalar; zero, with a graph, if every pixel is left out.
 
     Raises ValueError for shapes of different images and, on the CPU, for values beyond probabilities.
@@ -77,38 +65,31 @@ def lovasz_softmax(
             f"probabilities must be (B, C, H, W) and target (B, H, W), "
             f"got {tuple(probabilities.shape)} and {tuple(target.shape)}"
         )
-    if classes not in ("present", "all"):
-        raise ValueError(f"classes is 'present' or 'all', got {classes!r}")
     target = target.long()
-    counted = (target >= 0) & (target < probabilities.shape[1])
-    for left_out in () if ignore is None else (ignore,) if isinstance(ignore, int) else ignore:
-        counted &= target != left_out
-    owner = target.masked_fill(~counted, -1)
-    if not per_image:
-        return _LovaszSoftmax.apply(probabilities.float(), owner, classes == "all")
-    losses = [_LovaszSoftmax.apply(p[None].float(), t[None], classes == "all")
-            for p, t in zip(probabilities, owner, strict=True)]  # fmt: skip
-    return torch.stack(losses).sum() / counted.flatten(1).any(1).sum().clamp(min=1)
+    left_out = (target < 0) | (target >= probabilities.shape[1])
+    if ignore is not None:
+        left_out |= target == ignore
+    return _LovaszSoftmax.apply(probabilities.float(), target.masked_fill(left_out, -1))
 
 
 class _LovaszSoftmax(torch.autograd.Function):
     """The loss and, from the same sort, its gradient: the Lovasz extension is linear in a fixed order."""
 
     @staticmethod
-    def forward(ctx, probabilities: Tensor, owner: Tensor, every: bool) -> Tensor:
+    def forward(ctx, probabilities: Tensor, owner: Tensor) -> Tensor:
         kernel = _on_cpu if probabilities.device.type == "cpu" else _on_device
-        loss, slope = kernel(probabilities, owner, every)
+        loss, slope = kernel(probabilities, owner)
         ctx.save_for_backward(slope)
         return loss
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
         (slope,) = ctx.saved_tensors
-        return slope * gradient, None, None
+        return slope * gradient, None
 
 
-def _on_cpu(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, Tensor]:
+def _on_cpu(probabilities: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
     """Loss () and slope (B, C, H, W) by one numpy sort of 64-bit integers per class, classes shared out to threads.
 
     numpy sorts integers with vector instructions; torch's sort of floats with their indices took ten times as long.
@@ -119,7 +100,7 @@ def _on_cpu(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, 
     values, count = probabilities.detach().numpy(), probabilities.shape[1]
     owner_P = owner.flatten().numpy()
     sizes = np.bincount(owner_P + 1, minlength=count + 1)
-    chosen = [c for c in range(count) if sizes[c + 1] or (every and sizes[0] < owner_P.size)]
+    chosen = [c for c in range(count) if sizes[c + 1]]
     left_out_P = owner_P < 0 if sizes[0] else None
     slope = np.zeros(values.shape, np.float32)
 
@@ -150,10 +131,6 @@ def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarr
     error_P[owned] = np.maximum(1 - error_P[owned], 0)
     if left_out_P is not None:
         error_P[left_out_P] = 0
-    if not len(owned):  # the first pixel of the order takes the whole loss
-        worst = error_P.argmax()
-        slope_P[worst] = error_P[worst] > 0
-        return float(error_P[worst]), slope_P
     floor = np.maximum(error_P[owned].min(), TINIEST)
     kept = np.flatnonzero(~(error_P < floor))  # not >=, so that NaN stays and shows in the loss
     # positive floats order like their bits: the error, upside down, above the pixel's index, above "of the class"
@@ -178,7 +155,7 @@ def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarr
     return float(np.abs(error, out=error).sum(dtype=np.float64)), slope_P
 
 
-def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, Tensor]:
+def _on_device(probabilities: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
     """The same as `_on_cpu` in tensor operations without waits for the device; class by class to spare its memory."""
     owner_P, slope, losses, sizes = owner.flatten(), torch.empty_like(probabilities), [], []
     counted_P = owner_P >= 0
@@ -192,11 +169,11 @@ def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tenso
         misses = counted_P[order].cumsum(0) - hits
         union = size + misses
         rise = torch.where(hit, 1 / union, (size - hits) / union / (union - 1))
-        rise = torch.where(size > 0, rise, (misses == 1).float()).where(error > 0, 0)
+        rise = rise.where((error > 0) & (size > 0), 0)
         slope_P = torch.empty_like(rise).scatter_(0, order, torch.where(hit, -rise, rise))
         slope[:, c] = slope_P.view_as(slope[:, c])
         losses.append((rise * error).sum())
         sizes.append(size)
-    share = (torch.stack(sizes) > 0) | every
+    share = torch.stack(sizes) > 0
     share = share / share.sum().clamp(min=1)
     return torch.dot(torch.stack(losses), share), slope * share.view(1, -1, 1, 1)

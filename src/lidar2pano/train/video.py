@@ -259,7 +259,7 @@ class VideoPainting:
         )
 
     def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> tuple[Tensor, Tensor]:
-        """The input for the camera's last image and two before it, `step` frames apart, and that for the painted ones."""
+        """Inputs for the camera's last image and two before it, `step` frames apart, and for the painted ones."""
         now = PREVIOUS + len(painted) - 1
         flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
         real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
