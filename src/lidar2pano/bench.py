@@ -9,9 +9,8 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ from lidar2pano.simulate.generation import SequenceWriter, generate
 from lidar2pano.simulate.settings import WorldSettings
 from lidar2pano.views import VIEWS
 
+CPU = torch.device("cpu")
 CAMERA = (15, 376, 1241)  # classes, rows and columns of the published TITAN-Net
 WORLD_SEED, WORLD_PLACE = 5, "residential"
 WHOLE = "whole panorama"
@@ -42,41 +42,27 @@ BELIEF = ("project", "segment", "clean_up", "translate")  # stages that make a s
 OUTSIDE = "outside of stages"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """A thing that was timed; milliseconds: median and least over the runs."""
-
-    title: str
-    median_ms: float
-    least_ms: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """Median milliseconds of one stage by engine, in the order that they were named."""
-
-    title: str
-    median_ms: dict[str, float]
+Row = dict[str, Any]
+"""A line of a table: a title, and the median and least milliseconds over the runs; or the medians by engine."""
 
 
 def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "auto") -> list[Row]:
-    """Time everything on the demo scan, `runs` times after a warm-up.
+    """Time everything on the demo scan, `runs` times after a warm-up; saving the picture included.
 
     weights, engine  as for `pipeline.load`; weights "": untrained networks.
     Raises InputError when weights, device or engine cannot be had.
     """
-    picked = pick_device(device)
-    pipeline = load(weights, device, engine) if weights else untrained(picked, engine)
-    scan = read(street())
+    picked, scan = pick_device(device), read(street())
+    pipeline = _pipeline(weights, picked, engine)
     image = project(scan, VIEWS["hdl64e"], device=picked)
     ids = torch.randint(1, 20, image.valid.shape, device=picked, generator=torch.Generator(picked).manual_seed(0))
-    row = _timer(runs, picked)
-    return [
-        row("projection", lambda: project(scan, VIEWS["hdl64e"], device=picked)),
-        row("clean-up", lambda: clean_up(image, ids)),
-        row("Lovasz", lovasz_step(picked)),
-        *stages(pipeline, scan, runs),
-    ]
+    times = {
+        "projection": _times(lambda _: project(scan, VIEWS["hdl64e"], device=picked), runs + 1, picked)[1:],
+        "clean-up": _times(lambda _: clean_up(image, ids), runs + 1, picked)[1:],
+        "Lovasz": _times(lovasz_step(picked), runs + 1, picked)[1:],
+        **_stage_times({engine: pipeline}, scan, runs)[engine],
+    }
+    return [_row(title, measured) for title, measured in times.items()]
 
 
 def default_weights() -> str:
@@ -84,48 +70,41 @@ def default_weights() -> str:
     return best_family() if families() else ""
 
 
-def stages(pipeline: Pipeline, scan: Scan, runs: int) -> list[Row]:
-    """The pipeline's stages, saving the picture included, and the whole."""
+def _pipeline(weights: str, device: torch.device, engine: str) -> Pipeline:
+    return load(weights, device.type, engine) if weights else untrained(device, engine)
+
+
+def _stage_times(pipelines: Mapping[str, Pipeline], scan: Scan, runs: int) -> dict[str, dict[str, list[float]]]:
+    """Return engine -> stage or whole -> milliseconds of each run after the first."""
+    times: dict[str, dict[str, list[float]]] = {engine: {} for engine in pipelines}
     with tempfile.TemporaryDirectory() as folder:
-        warm = [_stage_times(pipeline, scan, folder) for _ in range(runs + 1)][1:]
-    return [_row(_title(stage), [run[stage] for run in warm]) for stage in warm[0]]
+        for number in range(runs + 1):
+            for engine, pipeline in pipelines.items():
+                begin = time.perf_counter()
+                panorama = pipeline(scan)
+                painted = time.perf_counter()
+                panorama.save(folder)
+                end = time.perf_counter()
+                stages = {**panorama.milliseconds, "save": (end - painted) * 1e3}
+                measured = {f"stage {stage}": value for stage, value in stages.items()} | {WHOLE: (end - begin) * 1e3}
+                for title, value in measured.items() if number else ():
+                    times[engine].setdefault(title, []).append(value)
+    return times
 
 
-def _stage_times(pipeline: Pipeline, scan: Scan, folder: str) -> dict[str, float]:
-    begin = time.perf_counter()
-    panorama = pipeline(scan)
-    painted = time.perf_counter()
-    panorama.save(folder)
-    end = time.perf_counter()
-    return {**panorama.milliseconds, "save": (end - painted) * 1e3, WHOLE: (end - begin) * 1e3}
-
-
-def _title(stage: str) -> str:
-    return stage if stage == WHOLE else f"stage {stage}"
-
-
-def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> list[Comparison]:
+def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> list[Row]:
     """Time the stages of the pipeline `runs` times by each engine, after a warm-up that compiles.
 
     Arguments as of `measure`, which raises the same errors.
     """
     picked = pick_device(device)
-    pipelines = {engine: load(weights, device, engine) if weights else untrained(picked, engine) for engine in engines}
-    scan = read(street())
-    runs_by_engine: dict[str, list[dict[str, float]]] = {engine: [] for engine in engines}
-    with tempfile.TemporaryDirectory() as folder:
-        for _ in range(runs + 1):
-            for engine, pipeline in pipelines.items():
-                runs_by_engine[engine].append(_stage_times(pipeline, scan, folder))
+    times = _stage_times({engine: _pipeline(weights, picked, engine) for engine in engines}, read(street()), runs)
     return [
-        Comparison(
-            title=_title(stage),
-            median_ms={
-                engine: round(statistics.median(run[stage] for run in times[1:]), 2)
-                for engine, times in runs_by_engine.items()
-            },
-        )
-        for stage in next(iter(runs_by_engine.values()))[0]
+        {
+            "title": title,
+            "median_ms": {engine: round(statistics.median(stages[title]), 2) for engine, stages in times.items()},
+        }
+        for title in times[engines[0]]
     ]
 
 
@@ -164,31 +143,32 @@ def conditions(device: str, runs: int) -> dict[str, Any]:
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown: a line per row."""
-    cells = ([row.title, f"{row.median_ms:.1f}", f"{row.least_ms:.1f}"] for row in rows)
+    cells = ([row["title"], f"{row['median_ms']:.1f}", f"{row['least_ms']:.1f}"] for row in rows)
     return markdown_table(["milliseconds", "median", "least"], cells)
 
 
-def comparison_table(rows: Sequence[Comparison]) -> str:
+def comparison_table(rows: Sequence[Row]) -> str:
     """Markdown: a line per stage; each engine's time, and how often it fits into the first's."""
-    first, *further = rows[0].median_ms
+    first, *further = rows[0]["median_ms"]
     head = ["milliseconds, median", first, *(column for name in further for column in (name, f"{first} / {name}"))]
     lines = []
     for row in rows:
-        cells = [row.title, f"{row.median_ms[first]:.0f}"]
+        times = row["median_ms"]
+        cells = [row["title"], f"{times[first]:.0f}"]
         for name in further:
-            cells += [f"{row.median_ms[name]:.0f}", f"{row.median_ms[first] / max(row.median_ms[name], 0.01):.2f}"]
+            cells += [f"{times[name]:.0f}", f"{times[first] / max(times[name], 0.01):.2f}"]
         lines.append(cells)
     return markdown_table(head, lines)
 
 
-def lovasz_step(device: torch.device) -> Callable[[], None]:
+def lovasz_step(device: torch.device) -> Callable[[int], None]:
     """Forward and backward of the Lovasz-Softmax loss on one image of the published size."""
     generator = torch.Generator(device).manual_seed(0)
     classes, rows, columns = CAMERA
     logits = torch.randn(1, classes, rows, columns, device=device, generator=generator).requires_grad_()
     target = torch.randint(0, classes, (1, rows, columns), device=device, generator=generator)
 
-    def step() -> None:
+    def step(_: int) -> None:
         logits.grad = None
         lovasz_softmax(logits.softmax(1), target, ignore=0).backward()
 
@@ -213,38 +193,19 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
     )
 
 
-def _timer(runs: int, device: torch.device) -> Callable[[str, Callable[[], object]], Row]:
-    def timed(title: str, work: Callable[[], object]) -> Row:
-        def finished(_: int) -> None:
-            work()
-            if device.type == "cuda":
-                torch.cuda.synchronize(device)
-
-        return _row(title, _times(finished, runs + 1)[1:])
-
-    return timed
-
-
-def _times(work: Callable[[int], object], runs: int) -> list[float]:
+def _times(work: Callable[[int], object], runs: int, device: torch.device = CPU) -> list[float]:
     """Return the milliseconds of each of some calls with their numbers."""
     times = []
     for number in range(runs):
-        begin = time.perf_counter()
-        work(number)
-        times.append((time.perf_counter() - begin) * 1e3)
+        timer = Timer(device)
+        with timer("work"):
+            work(number)
+        times += timer.milliseconds.values()
     return times
 
 
 def _row(title: str, times: list[float]) -> Row:
-    return Row(title=title, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Operations:
-    """Number of tensor operations of one stage."""
-
-    stage: str
-    operations: int
+    return {"title": title, "median_ms": round(statistics.median(times), 2), "least_ms": round(min(times), 2)}
 
 
 class _Counter(TorchDispatchMode):
@@ -280,28 +241,19 @@ class _CountingTimer(Timer):
         self.counter.stage = previous
 
 
-def measure_operations(weights: str, device: str) -> list[Operations]:
-    """Count the operations of the demo scan's panorama by torch; weights "": untrained networks.
+def measure_operations(weights: str, device: str) -> list[Row]:
+    """Count the tensor operations that the demo scan's panorama dispatches: a row per stage, then the sum.
 
-    Raises InputError when weights or device cannot be had.
+    Views count, too. An engine other than torch would compute a whole network in one operation or in none.
+    weights  "": untrained networks. Raises InputError when weights or device cannot be had.
     """
-    pipeline = load(weights, device, "torch") if weights else untrained(pick_device(device))
-    return count_operations(pipeline, read(street()))
-
-
-def count_operations(pipeline: Pipeline, scan: Scan) -> list[Operations]:
-    """Count the tensor operations that a panorama of a single scan dispatches: a row per stage, then the sum.
-
-    Views count, too. An engine other than torch computes a whole network in one operation or in none.
-    """
-    counter = _Counter()
+    pipeline, counter = _pipeline(weights, pick_device(device), "torch"), _Counter()
     with counter:
-        pipeline.step(Memory(), scan, None, _CountingTimer(pipeline.device, counter))
-    total = sum(counter.counts.values())
-    counts = {**counter.counts, WHOLE: total}
-    return [Operations(stage=stage, operations=count) for stage, count in counts.items()]
+        pipeline.step(Memory(), read(street()), None, _CountingTimer(pipeline.device, counter))
+    counts = {**counter.counts, WHOLE: sum(counter.counts.values())}
+    return [{"stage": stage, "operations": count} for stage, count in counts.items()]
 
 
-def operations_table(rows: list[Operations]) -> str:
+def operations_table(rows: list[Row]) -> str:
     """Format the counts as Markdown, a line per stage."""
-    return markdown_table(["stage", "tensor operations"], ([row.stage, str(row.operations)] for row in rows))
+    return markdown_table(["stage", "tensor operations"], ([row["stage"], str(row["operations"])] for row in rows))

@@ -198,7 +198,7 @@ def test_roads_lie_and_walls_stand(seen: tuple[str, Scene, lidar2pano.Panorama])
 @needs_streets
 def test_belief_takes_few_tensor_operations() -> None:
     """Project, segment, clean up and translate: thousands of small operations are slow on a GPU."""
-    rows = {row.stage: row.operations for row in measure_operations("streets", "cpu")}
+    rows = {row["stage"]: row["operations"] for row in measure_operations("streets", "cpu")}
     assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
     assert sum(rows[stage] for stage in BELIEF) < rows[WHOLE] <= 2500, rows
 

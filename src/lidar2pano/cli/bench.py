@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -74,9 +72,9 @@ def bench(
     _report(settings, rows, text, as_json)
 
 
-def _report(settings: dict[str, Any], rows: Sequence[Any], text: str, as_json: Path | None) -> None:
+def _report(settings: dict[str, Any], rows: list[dict[str, Any]], text: str, as_json: Path | None) -> None:
     """Print the conditions and a table; write rows as JSON, too."""
     if as_json:
-        write_json(as_json, settings | {"rows": [asdict(row) for row in rows]}, "--json")
+        write_json(as_json, settings | {"rows": rows}, "--json")
     words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in settings.items())
     print(f"{words}\n\n{text}")
