@@ -21,7 +21,7 @@ from lidar2pano.models.card import Card, save
 from lidar2pano.train.averages import EMA, averaged
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
-from lidar2pano.train.engine import clip, learning_rate, make_optimizer
+from lidar2pano.train.engine import learning_rate, make_optimizer
 from lidar2pano.train.environment import Timer, choose_precision
 from lidar2pano.train.latent_painting import LatentPaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
@@ -91,14 +91,6 @@ def test_optimisers_are_what_the_recipe_says():
     assert type(made) is torch.optim.Adam and len(group["params"]) == 1
     assert (group["lr"], group["betas"], group["weight_decay"]) == (0.5, (0.1, 0.2), 0.3)
     assert type(make_optimizer(replace(settings, algorithm="adamw"), network)) is torch.optim.AdamW
-
-
-@pytest.mark.parametrize(("largest", "norm"), [(0.0, 5.0), (1.0, 1.0), (9.0, 5.0)])
-def test_clip(largest, norm):
-    weight = nn.Parameter(torch.zeros(2))
-    weight.grad = torch.tensor([3.0, 4.0])
-    clip([weight], largest)
-    assert weight.grad.norm().item() == pytest.approx(norm, rel=1e-4)
 
 
 def test_average_follows_its_formula_and_copies_statistics():

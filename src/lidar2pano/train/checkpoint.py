@@ -25,7 +25,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import save_file
-from torch import Tensor, nn
+from torch import Tensor
 
 try:
     import fcntl
@@ -39,7 +39,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json, validated
 from lidar2pano.formats.torch_files import load_torch, read_tensors
-from lidar2pano.models.card import Card, save
+from lidar2pano.models.card import Card
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
@@ -271,14 +271,6 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{newest} is damaged ({reason}); remove it to start again") from None
     return progress, weights, optimizers
-
-
-def release(run: Path, name: str, network: nn.Module, card: Card, last: bool = False) -> Path:
-    """Write the weights of `network` with their card; `last` beside the best ones."""
-    path = run / "weights" / f"{name}{'.last' if last else ''}.safetensors"
-    with writing(path):
-        save(path, network, card)
-    return path
 
 
 def make_card(spec: Network, task_fields: Mapping[str, Any], run_fields: Mapping[str, Any]) -> Card:

@@ -7,11 +7,10 @@ pass, and networks whose gradients are discarded then need no special care (Styl
 
 from __future__ import annotations
 
-import inspect
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import timedelta
 from math import inf, isfinite
@@ -20,10 +19,10 @@ from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.parallel import DistributedDataParallel
 
 from lidar2pano.errors import InputError, hidden
 from lidar2pano.hardware import pick_device
+from lidar2pano.models.card import save
 from lidar2pano.train.averages import EMA, averaged
 from lidar2pano.train.checkpoint import (
     Progress,
@@ -33,11 +32,11 @@ from lidar2pano.train.checkpoint import (
     load_checkpoint,
     make_card,
     newest_checkpoint,
-    release,
     remove_others,
     save_checkpoint,
     trained_on,
     write_recipe,
+    writing,
 )
 from lidar2pano.train.environment import (
     Timer,
@@ -80,6 +79,14 @@ SAVED = ({"step", "exp_avg", "exp_avg_sq"}, {"momentum_buffer"})  # of each weig
 OPTIMIZERS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}  # and "sgd"
 
 
+class Processes(DDPStrategy):
+    """Processes with networks as they are, whose gradients the loop averages: so one of them may run alone."""
+
+    def setup_module(self, module: nn.Module) -> Any:  # noqa: ANN401, PLR6301 the strategy's own
+        """Return the network without DDP's hooks: norm statistics are each process's own, and the first one's count."""
+        return module
+
+
 def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: int = 1, num_nodes: int = 1) -> Path:
     """Train by a recipe on the data under `root`; the same command again goes on from the last checkpoint.
 
@@ -98,7 +105,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
         accelerator=chosen.type,
         devices=devices,
         num_nodes=num_nodes,
-        strategy=_many_processes() if processes > 1 else "auto",
+        strategy=Processes(timeout=VALIDATION_LIMIT) if processes > 1 else "auto",
         plugins=_precision(choose_precision(training, chosen), chosen),
     )
     fabric.launch()
@@ -268,19 +275,18 @@ class Run:
         while True:
             name = ""
             for number, updates in enumerate(micro_batches):
-                with self._without_sync():
-                    network, loss = next(updates, NO_MORE_UPDATES)
-                    if number and network != name:
-                        raise RuntimeError(f"updates() yielded {name!r} for one micro-batch and {network!r} next")
-                    name = network
-                    if not name:
-                        continue
-                    if number == 0:
-                        for optimizer in self.optimizers.values():  # others may have gradients left
-                            optimizer.zero_grad()
-                        losses[name] = torch.zeros((), device=self.fabric.device)
-                    self.fabric.backward(loss / len(micro_batches))
-                    losses[name] += loss.detach() / len(micro_batches)
+                network, loss = next(updates, NO_MORE_UPDATES)
+                if number and network != name:
+                    raise RuntimeError(f"updates() yielded {name!r} for one micro-batch and {network!r} next")
+                name = network
+                if not name:
+                    continue
+                if number == 0:
+                    for optimizer in self.optimizers.values():  # others may have gradients left
+                        optimizer.zero_grad()
+                    losses[name] = torch.zeros((), device=self.fabric.device)
+                self.fabric.backward(loss / len(micro_batches))
+                losses[name] += loss.detach() / len(micro_batches)
             if not name:
                 return losses
             weights = [weight for weight in self.networks[name].parameters() if weight.requires_grad]
@@ -288,15 +294,8 @@ class Run:
                 average_gradients(weights)
             if norm := self.recipe.networks[name].optimizer.clip:
                 self.fabric.strategy.precision.unscale_gradients(cast(Any, self.optimizers[name]).optimizer)
-                clip(weights, norm)
+                torch.nn.utils.clip_grad_norm_(weights, norm)
             self.optimizers[name].step()
-
-    @contextmanager
-    def _without_sync(self) -> Iterator[None]:
-        with ExitStack() as stack:
-            for network in self.task.networks.values():
-                stack.enter_context(self.fabric.no_backward_sync(cast(Any, network)))
-            yield
 
     def _show(self) -> None:
         """Read and show the losses since the last time; NaN or infinity raises FloatingPointError."""
@@ -367,7 +366,9 @@ class Run:
         }
         for name in self.task.released:
             card = make_card(self.recipe.networks[name], self.task.card(name), ours)
-            release(self.out, name, self.networks[name], card, last=last)
+            path = self.out / "weights" / f"{name}{'.last' if last else ''}.safetensors"
+            with writing(path):
+                save(path, self.networks[name], card)
 
     def _finish(self) -> None:
         """The end of the budget: score, previews, the last weights."""
@@ -407,14 +408,6 @@ def _below(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
 
 
-def _many_processes() -> DDPStrategy:
-    """Processes with norm statistics of their own (the first one's count), so that one of them may run alone."""
-    parameters = inspect.signature(DistributedDataParallel).parameters
-    quiet = "forward_sync_buffers" if "forward_sync_buffers" in parameters else "broadcast_buffers"  # renamed, 2.13
-    settings: dict[str, Any] = {quiet: False}
-    return DDPStrategy(timeout=VALIDATION_LIMIT, **settings)
-
-
 def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optimizer:
     """The optimiser of a network's trainable weights."""
     weights = [weight for weight in network.parameters() if weight.requires_grad]
@@ -451,9 +444,3 @@ def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
         case "exponential":
             return rate * settings.final**progress
     return rate
-
-
-def clip(weights: Iterable[Tensor], largest: float) -> None:
-    """Scale the gradient of `weights` down to the norm `largest`; 0 = no clipping."""
-    if largest > 0:
-        torch.nn.utils.clip_grad_norm_(list(weights), largest)

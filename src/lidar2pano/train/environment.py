@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from math import gcd
@@ -112,11 +112,8 @@ def largest(device: torch.device, *values: float) -> list[float]:
     return agreed.tolist()
 
 
-def average_gradients(weights: Iterable[nn.Parameter]) -> None:
+def average_gradients(weights: Sequence[nn.Parameter]) -> None:
     """Replace each gradient by its mean over the processes; a weight without one counts as zero."""
-    weights = list(weights)
-    if world() == 1:
-        return
     for weight in weights:
         weight.grad = torch.zeros_like(weight) if weight.grad is None else weight.grad
     gradients = [weight.grad for weight in weights if weight.grad is not None]
