@@ -234,8 +234,8 @@ def no_network(monkeypatch):
         def refuse(*_: object) -> None:
             raise AssertionError("a network was loaded")
 
-        monkeypatch.setattr("lidar2pano.prepare.teachers.LidarTeacher.get_ready", refuse)
-        monkeypatch.setattr("lidar2pano.prepare.teachers.ImageTeacher.get_ready", refuse)
+        monkeypatch.setattr("lidar2pano.prepare.teachers.LidarTeacher.network", property(refuse))
+        monkeypatch.setattr("lidar2pano.prepare.teachers.ImageTeacher.network", property(refuse))
 
     return close
 
@@ -363,16 +363,13 @@ PLACES = ("written", "torn", "before", "after")
 class Copyist:
     """A teacher that copies its name and the scan's first bytes; `write` can be made deadly."""
 
-    folder, suffix, weights = "copies", ".txt", ()
+    folder, suffix, weights, network = "copies", ".txt", (), None
 
     def __init__(self, name: str) -> None:
         self.made_by = name
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
         return frame.scan_file if frame.scan_file.exists() else None
-
-    def get_ready(self) -> None:
-        pass
 
     def write(self, frame: SemanticKittiFrame, path: Path) -> None:
         path.write_text(self.made_by + frame.scan_file.read_bytes()[:9].hex())

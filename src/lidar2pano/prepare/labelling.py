@@ -90,7 +90,7 @@ def _by(teacher: Teacher, frame: SemanticKittiFrame, journal: Journal) -> Labell
     except InputError as error:
         return LabelledFile(folder=teacher.folder, file=file, state=State.FAILED, problem=str(error))
     if state is None:
-        teacher.get_ready()  # its errors concern every frame: they end the work
+        _ = teacher.network  # loaded once; its errors concern every frame: they end the work
         try:
             _write(teacher, frame, source, file, journal)
         except InputError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,55 +39,27 @@ PNG_END = b"IEND\xaeB`\x82"
 
 
 @dataclass(kw_only=True)
-class Teacher(ABC):
-    """A writer of one file per frame.
+class LidarTeacher:
+    """A range-view segmenter: scans -> raw ids of SemanticKITTI per point.
 
-    suffix   ending of the files;  folder: of a sequence, for them.
+    folder   of a sequence, for the files, whose ending is `suffix`.
     made_by  hash of weights and settings: files of another one are made again.
     weights  files of the network;  device: torch's, or "auto".
     """
 
-    suffix: ClassVar[str]
+    suffix: ClassVar[str] = ".label"
     folder: str
     made_by: str
     weights: tuple[Path, ...]
     device: str
 
-    @abstractmethod
     def source(self, frame: SemanticKittiFrame) -> Path | None:
-        """Return the source of the labels, None if absent."""
-
-    @cached_property
-    @abstractmethod
-    def network(self) -> Segmenter | CameraTeacher:
-        """The network, loaded; InputError when its weights cannot be used."""
-
-    @abstractmethod
-    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
-        """Write the labels of a frame to `path`; InputError when its scan or image cannot be used."""
-
-    @abstractmethod
-    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
-        """Tell if `path` holds complete labels, of any origin."""
-
-    def get_ready(self) -> None:
-        """Load the network, once."""
-        _ = self.network
-
-
-@dataclass(kw_only=True)
-class LidarTeacher(Teacher):
-    """A range-view segmenter: scans -> raw ids of SemanticKITTI per point."""
-
-    suffix = ".label"
-
-    def source(self, frame: SemanticKittiFrame) -> Path | None:
-        """The scan."""
+        """The scan, None if absent."""
         return frame.scan_file if os.path.lexists(frame.scan_file) else None
 
     @cached_property
     def network(self) -> Segmenter:
-        """See Teacher."""
+        """The segmenter, loaded; InputError when its weights cannot be used."""
         return load_segmenter(self.weights[0], pick_device(self.device))[0]
 
     def write(self, frame: SemanticKittiFrame, path: Path) -> None:
@@ -104,26 +75,30 @@ class LidarTeacher(Teacher):
 
 
 @dataclass(kw_only=True)
-class ImageTeacher(Teacher):
-    """A camera teacher: images -> Cityscapes train ids per pixel.
+class ImageTeacher:
+    """A camera teacher: images -> Cityscapes train ids per pixel; further fields as of LidarTeacher.
 
     spec             "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
     scales           of the labelled image; () for the network's own.
     min_probability  of the best class; a pixel below it becomes IGNORE.
     """
 
-    suffix = ".png"
+    suffix: ClassVar[str] = ".png"
+    folder: str
+    made_by: str
+    weights: tuple[Path, ...]
+    device: str
     spec: str
     scales: tuple[float, ...]
     min_probability: float
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
-        """The image."""
+        """The image, None if absent."""
         return frame.image_file
 
     @cached_property
     def network(self) -> CameraTeacher:
-        """See Teacher."""
+        """The network, loaded; InputError when its weights cannot be used."""
         device = pick_device(self.device)
         if self.spec in MODEL_TYPES:
             return load_teacher(self.spec, self.weights[0], device, self.scales or (1.0,))
@@ -144,6 +119,9 @@ class ImageTeacher(Teacher):
         except InputError:
             return False
         return path.suffix != ".png" or PNG_END in read_input(path, "label the image again")
+
+
+Teacher = LidarTeacher | ImageTeacher
 
 
 def lidar_teacher(weights: str, *, folder: str = "labels", device: str = "auto") -> LidarTeacher:
