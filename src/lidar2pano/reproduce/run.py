@@ -43,15 +43,14 @@ SEGMENTER = "salsanext"
 MOST_BUDGET = 1e7  # seconds, minutes, hours or steps
 PUBLISHED_SEGMENTER = "salsanext-published"  # its recipe at full length
 # Packages of the extra `train` by importing part; "" stands for every part.
-PACKAGES = {"": ("lightning_fabric", "tensorboard", "matplotlib"), "vid2vid": ("cv2",)}
-PACKAGES["autoencoder"] = ("efficientnet_lite_pytorch",)
+PACKAGES = {
+    "": ("lightning_fabric", "tensorboard", "matplotlib"),
+    "vid2vid": ("cv2",),
+    "autoencoder": ("efficientnet_lite_pytorch",),
+}
 PAINTING = ("autoencoder", "latent-painter")  # in this order, behind a translator
-IMAGES_ALONE = {
-    *PAINTING,
-    "scunet",
-    "pix2pix-rgb",
-    "titan-no-segments",
-}  # trained on the camera's colours, not on its classes
+# trained on the camera's colours, not on its classes
+IMAGES_ALONE = {*PAINTING, "scunet", "pix2pix-rgb", "titan-no-segments"}
 COPIES = 5  # of a network on disk: its checkpoint with Adam's two moments, its best and its latest weights
 GIB = 2**30
 
@@ -150,24 +149,19 @@ def training_data(plan: Plan) -> Path:
     No checkpoint is selected on scored frames: other splits but the scored one lose these frames, and the training
     splits lose those of the scored one. Everything but splits.json are links.
     """
-    rest = training_frames(plan)
+    lists = training_frames(plan)
     folder = plan.out / "data"
     folder.mkdir(parents=True, exist_ok=True)
     for path in plan.data.resolve().iterdir():
         if path.name != "splits.json":
-            _link(folder / path.name, path)
-    text = json.dumps(rest, indent=1)
-    write_text(folder / "splits.json", text)
+            link = folder / path.name
+            try:
+                link.symlink_to(path)
+            except FileExistsError:
+                if not link.is_symlink() or link.readlink() != path:
+                    raise InputError(f"{link}: is no link to {path}; remove it, or choose another --out") from None
+    write_text(folder / "splits.json", json.dumps(lists, indent=1))
     return folder
-
-
-def _link(link: Path, path: Path) -> None:
-    """Make a link, unless it is there; InputError where something else is."""
-    try:
-        link.symlink_to(path)
-    except FileExistsError:
-        if not link.is_symlink() or link.readlink() != path:
-            raise InputError(f"{link}: is no link to {path}; remove it, or choose another --out") from None
 
 
 def training_frames(plan: Plan) -> dict[str, list[str]]:
@@ -238,11 +232,15 @@ class Outcome:
 
 def reproduce(plan: Plan) -> Outcome:
     """Train and score missing parts and rows; failures are logged, and the rest goes on."""
-    outcome = Outcome()
-    files: dict[str, Path] = {}
+    outcome, files = Outcome(), dict[str, Path]()
     scored = sampled(frames(plan.data, plan.split), plan.frames)  # now: a mistake in the data concerns every part
     if plan.segmenter:
-        files[SEGMENTER] = _segmenter(plan.segmenter)
+        given = weight_files(plan.segmenter, fill=False)
+        if "segmenter" not in given:
+            raise InputError(
+                f"--segmenter {plan.segmenter}: has no weights of a LiDAR segmenter; name a family, run or file"
+            )
+        files[SEGMENTER] = given["segmenter"]
     for part in plan.parts:
         try:
             files[part] = train_part(plan, part, files)
@@ -286,6 +284,7 @@ def _camera_segmenter_ms(plan: Plan, scored: FrameList, config: MetricConfig) ->
 def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
     """Return the best weights of a part, trained unless its run is finished."""
     from lidar2pano.train.engine import train
+    from lidar2pano.train.tasks import TASKS
 
     recipe = plan.recipe(part, files)
     for option in ("translator", "segmenter", "autoencoder"):
@@ -295,25 +294,8 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
     counts = len(frames_of(data, recipe.data.train)), len(frames_of(data, recipe.data.val))
     log.info("training %s on %d frames, its checkpoints selected on %d", recipe.name, *counts)
     folder = train(recipe, data, plan.run(part), device=plan.device, devices=plan.devices)
-    return folder / f"{_released(part)}.safetensors"
-
-
-def _released(part: str) -> str:
-    """Return the name of a part's network within its task."""
-    if part == SEGMENTER:
-        return "segmenter"
-    if part in ("latent-painter", "vid2vid"):
-        return "painter"
-    if part == "autoencoder":
-        return part
-    return "renderer" if part in ("scunet", "pix2pix-rgb", "titan-no-segments") else "translator"
-
-
-def _segmenter(name: str) -> Path:
-    files = weight_files(name, fill=False)
-    if "segmenter" not in files:
-        raise InputError(f"--segmenter {name}: has no weights of a LiDAR segmenter; name a family, run or file")
-    return files["segmenter"]
+    (network,) = TASKS[recipe.task].released
+    return folder / f"{network}.safetensors"
 
 
 def sampled(split: FrameList, count: int) -> FrameList:
@@ -333,7 +315,10 @@ def score_row(
 ) -> dict[str, Any]:
     """Return a row's evaluation, from DIR/rows if neither its weights nor `inputs` of `_scoring_inputs` changed."""
     path = plan.out / "rows" / f"{name}.json"
-    key = _key(row, files, inputs)
+    weights = [read_card(files[part]).sha256 for part in (SEGMENTER, *row.parts) if part in files]
+    key = hashlib.sha256(
+        json.dumps({**inputs, "weights": weights, "chain": row.parts}, sort_keys=True).encode()
+    ).hexdigest()
     if path.is_file():
         try:
             stored = read_json(path)
@@ -347,17 +332,8 @@ def score_row(
     write_images(plan.out / "images" / name, row_system, scored, config, painter)
     evaluation = score([row_system], scored, data=plan.data.resolve().name, split=plan.split, config=config)
     result = report.as_dict(evaluation)
-    text = json.dumps({"key": key, "result": result}, indent=1)
-    write_text(path, text)
+    write_text(path, json.dumps({"key": key, "result": result}, indent=1))
     return result
-
-
-def _key(row: PaperRow, files: Mapping[str, Path], inputs: Mapping[str, Any]) -> str:
-    """Hash the inputs of a row's evaluation: its weights, and those that all rows share."""
-    parts = [part for part in (SEGMENTER, *row.parts) if part in files]
-    weights = [read_card(files[part]).sha256 for part in parts]
-    text = json.dumps({**inputs, "weights": weights, "chain": row.parts}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _scoring_inputs(plan: Plan, scored: FrameList, config: MetricConfig) -> dict[str, Any]:
