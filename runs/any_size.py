@@ -134,7 +134,7 @@ def rates(root: Path) -> dict[str, float]:
 
     splits, half = ("train",), VIEWS["panorama"].scaled(0.5)
     parts = camera_pairs.SampleParts(image=True, depth=True)
-    crop = camera_segmentation.ImageAugmentation(crop=(320, 640))
+    crop = camera_segmentation.CameraSegmentationOptions(rows=320, columns=640)
     framing = clips.Framing(rows=128, columns=384, scale=0.5)
     sets = {
         "RangeImageDataset": range_images.RangeImageDataset(root, splits, VIEWS["hdl64e"], 1024),

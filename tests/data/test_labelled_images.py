@@ -13,7 +13,7 @@ from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS
-from lidar2pano.train.camera_segmentation import CameraImageDataset, ImageAugmentation
+from lidar2pano.train.camera_segmentation import CameraImageDataset, CameraSegmentationOptions
 from lidar2pano.views import VIEWS
 from miniature import SIZE, camera_view
 from miniature_images import write_cityscapes, write_folders
@@ -56,7 +56,7 @@ def test_any_images_beside_labels_are_a_data_set(tmp_path, splits):
 
 
 def test_camera_segmenters_and_vid2vid_train_on_them(cityscapes):
-    images = CameraImageDataset(cityscapes, ("train",), ImageAugmentation(crop=(32, 64)))
+    images = CameraImageDataset(cityscapes, ("train",), CameraSegmentationOptions(rows=32, columns=64))
     sample = images[SampleIndex(3, 1)]
     assert len(images) == 4 and sample.image.shape == (3, 32, 64) and sample.labels.shape == (32, 64)
     clips = ClipDataset(cityscapes, (), Framing(rows=24, columns=64, scale=0.5), 3, ("train",))
