@@ -16,7 +16,7 @@ from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.latent_painter import Clues, conditions_of
 from lidar2pano.train.engine import train
-from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, packed, unpacked, without_gaps
+from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, without_gaps
 from lidar2pano.train.latent_painting import masked_error
 from lidar2pano.train.latent_texture import as_photographs
 from lidar2pano.train.recipe import override
@@ -250,11 +250,6 @@ def test_gaps_have_the_nearest_known_colour():
     assert filled[:, 2].tolist() == [13] * 5
     assert torch.equal(filled[:, 0], filled[:, 1]) and torch.equal(filled[:, 3], filled[:, 2])
     assert torch.equal(without_gaps(picture, torch.zeros_like(coverage)), picture)
-
-
-def test_packed_masks_come_back():
-    mask = torch.rand(3, 13) > 0.5
-    assert torch.equal(unpacked(packed(mask), 13), mask)
 
 
 def small(place, *further, name="latent-painter-mini", looks=("photograph",)):

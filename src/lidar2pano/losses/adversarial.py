@@ -215,11 +215,6 @@ class DiffAugment:
         colour     (B, 3, H, W) in [-1, 1].
         condition  (B, C, H, W), the source of the colours: translated and cut out alike.
         """
-        joined = torch.cat([self._recoloured(colour), condition], 1)
-        translated = [self._translated(image, number) for number, image in enumerate(joined)]
-        return torch.stack(translated) * self._kept(joined)
-
-    def _recoloured(self, colour: Tensor) -> Tensor:
         brightness, saturation, contrast = (
             factor.to(colour)[:, None, None, None] for factor in (self.brightness, self.saturation, self.contrast)
         )
@@ -227,18 +222,14 @@ class DiffAugment:
         grey = colour.mean(1, keepdim=True)
         colour = grey + (colour - grey) * saturation
         mean = grey.mean((1, 2, 3), keepdim=True)
-        return mean + (colour - mean) * contrast
-
-    def _translated(self, image: Tensor, number: int) -> Tensor:
-        """One image (C, H, W)."""
-        rows, columns = image.shape[-2:]
-        down, right = round(float(self.down[number]) * rows), round(float(self.right[number]) * columns)
-        return pad(image, (right, -right, down, -down))
-
-    def _kept(self, images: Tensor) -> Tensor:
-        """(B, 1, H, W), 0 in cutouts."""
-        inside = [
+        images = torch.cat([mean + (colour - mean) * contrast, condition], 1)
+        rows, columns = images.shape[-2:]
+        translated = []
+        for image, down, right in zip(images, self.down.tolist(), self.right.tolist(), strict=True):
+            below, beside = round(down * rows), round(right * columns)
+            translated.append(pad(image, (beside, -beside, below, -below)))
+        in_row, in_column = (
             (torch.linspace(0, 1, pixels)[None] - middle[:, None]).abs() <= CUTOUT / 2  # NaN is never inside
-            for pixels, middle in ((images.shape[2], self.cut_row), (images.shape[3], self.cut_column))
-        ]
-        return (~(inside[0][:, None, :, None] & inside[1][:, None, None, :])).to(images)
+            for pixels, middle in ((rows, self.cut_row), (columns, self.cut_column))
+        )
+        return torch.stack(translated) * (~(in_row[:, None, :, None] & in_column[:, None, None, :])).to(images)

@@ -10,7 +10,6 @@ import hashlib
 import io
 import math
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -139,7 +138,7 @@ class LatentFrames:
 
     @staticmethod
     def _look(frame: Frame, looks: tuple[str, ...]) -> int:
-        look = look_of(frame) or looks[0]
+        look = (_look_of_data_set(frame.root) if frame.root else "") or looks[0]
         if look not in looks:
             raise InputError(f"{frame.name}: its look {look!r} is none of {', '.join(looks)}")
         return looks.index(look)
@@ -231,12 +230,12 @@ class LatentFrames:
         kept = self.kept(index)
         with Image.open(io.BytesIO(kept["photograph"].numpy().tobytes()), formats=("JPEG",)) as image:
             picture = as_signed(np.array(image))
-        return picture, unpacked(kept["coverage"], picture.shape[2])
+        coverage = np.unpackbits(kept["coverage"].numpy(), axis=1, count=picture.shape[2])
+        return picture, torch.from_numpy(coverage).bool()
 
     def encoded(self, index: int) -> Encoded:
         """Return the latents of a sector; they are kept in memory from the first use on."""
-        number, camera, _ = self.places[index]
-        file = self._file(self.frames[number], camera)
+        file = self._file(index)
         if file not in self._encoded:
             picture, coverage = self.photograph(index)
             pictures = torch.stack([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
@@ -249,12 +248,17 @@ class LatentFrames:
 
     def kept(self, index: int) -> dict[str, Tensor]:
         """Return the content of a sector's file; the first use makes it."""
+        file = self._file(index)
+        if not file.is_file():
+            number, camera, _ = self.places[index]
+            frame = self.frames[number]
+            made = (self._labelled if isinstance(frame, LabelledImage) else self._made)(frame, camera)
+            write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
+        return read_tensors(file, "remove it, and it is made again")
+
+    def _file(self, index: int) -> Path:
         number, camera, _ = self.places[index]
         frame = self.frames[number]
-        make = self._labelled if isinstance(frame, LabelledImage) else self._made
-        return kept_tensors(self._file(frame, camera), lambda: make(frame, camera))
-
-    def _file(self, frame: Frame, camera: str) -> Path:
         assert frame.root is not None, "frames of data sets have one"
         root = frame.root.resolve()
         folder, place = (Path(self.cache), root) if self.cache else (root / ".lidar2pano", "")
@@ -321,12 +325,12 @@ class PicturedFrames(LatentFrames):
 
 
 def pictured(picture: Tensor, coverage: Tensor) -> dict[str, Tensor]:
-    """Return a picture (3, H, W) uint8, as JPEG, and its coverage (H, W) bool, as a sector's file keeps them."""
+    """Return a picture (3, H, W) uint8, as JPEG, and its coverage (H, W) bool, as bits, for a sector's file."""
     stream = io.BytesIO()
     filled = Image.fromarray(without_gaps(picture, coverage).movedim(0, 2).contiguous().numpy())
     filled.save(stream, "JPEG", quality=QUALITY, subsampling=0)
     photograph = torch.frombuffer(bytearray(stream.getvalue()), dtype=torch.uint8)
-    return {"photograph": photograph, "coverage": packed(coverage)}
+    return {"photograph": photograph, "coverage": torch.from_numpy(np.packbits(coverage.numpy(), axis=1))}
 
 
 def level_camera(width: int, height: int) -> Calibration:
@@ -380,24 +384,6 @@ def without_gaps(picture: Tensor, coverage: Tensor) -> Tensor:
     return filled[:, :, nearest]
 
 
-def packed(mask: Tensor) -> Tensor:
-    """Pack a mask (H, W) into bits, (H, W / 8) uint8, the last byte of a row filled up with zeros."""
-    return torch.from_numpy(np.packbits(mask.numpy(), axis=1))
-
-
-def unpacked(bits: Tensor, columns: int) -> Tensor:
-    """Return a mask (H, columns) bool from its bits."""
-    return torch.from_numpy(np.unpackbits(bits.numpy(), axis=1, count=columns)).bool()
-
-
-def kept_tensors(file: Path, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
-    """Return the tensors of a file of a cache; the first use makes it."""
-    if not file.is_file():
-        made = make()
-        write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
-    return read_tensors(file, "remove it, and it is made again")
-
-
 def made_by(view: View, *weights: str) -> str:
     """Return what the files of frames hang on, beside the frames: raster and networks, as one hexadecimal number."""
     digest = hashlib.sha256(f"{SCENES} {view}".encode())
@@ -406,13 +392,8 @@ def made_by(view: View, *weights: str) -> str:
     return digest.hexdigest()
 
 
-def look_of(frame: Frame) -> str:
-    """Return the look of a simulated frame; "" for a real one."""
-    return _look_of_data_set(frame.root) if frame.root else ""
-
-
 @cache
 def _look_of_data_set(root: Path) -> str:
-    """Return `look_of` all frames of a data set: its world.json is read once, not once per frame."""
+    """Return the look of a simulated data set, whose world.json is read once; "" for a real one."""
     file = root / "world.json"
     return str(read_json(file).get("look", "")) if file.is_file() else ""
