@@ -18,7 +18,7 @@ import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json, validated
 from lidar2pano.formats.torch_files import load_torch, read_tensors
 from lidar2pano.models.card import Card
-from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolved
+from lidar2pano.train.recipe import Network, Recipe, Training, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
 LIMITS = ("training.steps", "training.epochs", "training.minutes")  # may grow
@@ -155,9 +155,9 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _defaults(recipe: Recipe) -> dict[str, Any]:
     """Default values of a recipe of this task, by their flat names."""
-    networks = {name: {"optimizer": asdict(Optimizer())} for name in recipe.networks}
-    plain = {"training": asdict(Training()), "options": asdict(type(recipe.options)()), "networks": networks}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in _flat(plain).items()}
+    networks = {name: Network(model=network.model) for name, network in recipe.networks.items()}
+    plain = resolved(replace(recipe, networks=networks, training=Training(), options=type(recipe.options)()))
+    return _flat({part: plain[part] for part in ("training", "options", "networks")})
 
 
 def _differences(previous: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:

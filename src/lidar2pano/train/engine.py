@@ -384,23 +384,20 @@ class Run:
 
 
 class Meter:
-    """Means of losses since the last reading; sums stay on the device, and no step waits for them."""
+    """Means of losses since the last reading; they stay on the device, and no step waits for them."""
 
     def __init__(self) -> None:
-        self.sums: dict[str, Tensor | float] = {}
-        self.counts: dict[str, int] = {}
+        self.values: dict[str, list[Tensor | float]] = {}
 
     def add(self, values: Mapping[str, Tensor | float]) -> None:
         """Count one step's values."""
         for name, value in values.items():
-            number = value.detach() if isinstance(value, Tensor) else value
-            self.sums[name] = self.sums.get(name, 0.0) + number
-            self.counts[name] = self.counts.get(name, 0) + 1
+            self.values.setdefault(name, []).append(value.detach() if isinstance(value, Tensor) else value)
 
     def read(self) -> dict[str, float]:
         """Means by name; the count starts again. A NaN among the values is a NaN here."""
-        means = {name: float(total) / self.counts[name] for name, total in self.sums.items()}
-        self.sums, self.counts = {}, {}
+        means = {name: float(sum(values)) / len(values) for name, values in self.values.items()}
+        self.values = {}
         return means
 
 

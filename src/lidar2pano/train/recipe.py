@@ -5,6 +5,7 @@ No torch is imported here.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
@@ -200,13 +201,7 @@ class Recipe(Generic[Options_co]):
 
 def resolved(recipe: Recipe) -> dict[str, Any]:
     """Every value of the recipe, nested, as JSON represents them (tuples become lists)."""
-    return _plain({**asdict(replace(recipe, networks=dict(recipe.networks))), "task": recipe.task})
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+    return json.loads(json.dumps({**asdict(replace(recipe, networks=dict(recipe.networks))), "task": recipe.task}))
 
 
 def override(recipe: Recipe, assignment: str) -> Recipe:

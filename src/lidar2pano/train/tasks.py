@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lidar2pano.errors import InputError, closest
 from lidar2pano.train.autoencoding import Autoencoding
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
@@ -39,14 +38,5 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
 
 
 def build_task(recipe: Recipe, root: Path) -> Task:
-    """The recipe's task over the data under `root`.
-
-    Raises InputError for an unknown task, and for networks other than the recipe's.
-    """
-    if recipe.task not in TASKS:
-        raise InputError(f"recipe {recipe.name!r}: no task {recipe.task!r}{closest(recipe.task, TASKS)}")
-    task: Task = TASKS[recipe.task](recipe, root)
-    if set(task.networks) != set(recipe.networks):
-        ours, theirs = sorted(recipe.networks), sorted(task.networks)
-        raise InputError(f"task {recipe.task!r} trains {', '.join(theirs)}; the recipe has {', '.join(ours)}")
-    return task
+    """The recipe's task over the data under `root`; InputError for data or settings with which it cannot be."""
+    return TASKS[recipe.task](recipe, root)
