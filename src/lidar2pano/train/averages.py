@@ -43,19 +43,13 @@ class EMA:
     @contextmanager
     def applied(self) -> Iterator[None]:
         """Give the network the average, inside, with the share of its start."""
-        weights = self.network.state_dict()
-        kept = {name: value.clone() for name, value in weights.items()}
-        with torch.no_grad():
-            for name, value in weights.items():
-                value.copy_(self.state[name])
-            for name, value in self.start.items():
-                weights[name].lerp_(value, self.start_share)
+        kept = {name: value.clone() for name, value in self.network.state_dict().items()}
+        mixed = {name: self.state[name].lerp(value, self.start_share) for name, value in self.start.items()}
+        self.network.load_state_dict(self.state | mixed)
         try:
             yield
         finally:
-            with torch.no_grad():
-                for name, value in weights.items():
-                    value.copy_(kept[name])
+            self.network.load_state_dict(kept)
 
 
 @contextmanager

@@ -9,17 +9,15 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
-from torch.utils.data import Dataset as TorchDataset
+from torch.utils.data import DataLoader, Dataset
 
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.train.recipe import Training
-from lidar2pano.train.task import Dataset
 
 
 def seed_step(seed: int, rank: int, step: int) -> None:
@@ -76,7 +74,7 @@ def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bo
     A user's mistake in a worker raises InputError with one line; for the loss of a worker see `lost_workers`.
     """
     loader = DataLoader(
-        cast(TorchDataset, dataset),
+        dataset,
         batch_sampler=sampler,
         num_workers=workers,
         pin_memory=pinned,

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from lidar2pano.data.cache import PredictedLabels
-from lidar2pano.data.frames import Frame, FrameList, SampleIndex
+from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.hardware import fast_arithmetic
@@ -29,18 +29,6 @@ from lidar2pano.train.recipe import Network, Recipe
 from lidar2pano.views import View
 
 
-class Dataset(Protocol):
-    """A map-style data set: `dataset[SampleIndex(index, seed)]` is a NamedTuple that default collation can stack."""
-
-    def __len__(self) -> int:
-        """Number of samples."""
-        ...
-
-    def __getitem__(self, index: SampleIndex) -> Any:  # noqa: ANN401 a NamedTuple of the task's own
-        """Sample `index.index`, augmented by a generator seeded with `index.seed`."""
-        ...
-
-
 class Task(Protocol):
     """One way to train networks; the loop uses nothing else.
 
@@ -49,13 +37,14 @@ class Task(Protocol):
               called, and call nothing but the networks themselves (their `forward`, and methods that an attribute
               `methods` names).
     released  names of the networks for weight files; averaged over steps if the recipe says so.
-    dataset   training samples.
+    dataset   training samples, map-style: `dataset[SampleIndex(index, seed)]` is a NamedTuple that default collation
+              can stack, augmented by a generator of that seed.
     logs      other numbers worth a curve, as of the last step (float or tensor with one element).
     """
 
     networks: dict[str, nn.Module]
     released: tuple[str, ...]
-    dataset: Dataset
+    dataset: Any
     logs: dict[str, float | Tensor]
 
     def updates(self, batch: Any) -> Iterator[tuple[str, Tensor]]:  # noqa: ANN401
@@ -187,15 +176,14 @@ class LabelPoints:
     """A segmenter as a function of scans, on a movable device."""
 
     def __init__(self, segmenter: Segmenter) -> None:
-        self.segmenter, self.device = segmenter, torch.device("cpu")
+        self.segmenter = segmenter
 
     def __call__(self, scan: Scan) -> Tensor:
         """Labels (N,) of SEMANTIC_KITTI."""
-        return self.segmenter.points(scan, self.device)
+        return self.segmenter.points(scan, device_of(self.segmenter.network))
 
     def move(self, device: torch.device) -> None:
         """Compute there from now on."""
-        self.device = device
         self.segmenter.network.to(device)
 
 
@@ -214,9 +202,8 @@ def predict_all(task: Task, device: torch.device, rank: int = 0, world: int = 1)
 
 
 def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch.device, *, show: bool) -> None:
-    label_points = predicted.label_points
-    if isinstance(label_points, LabelPoints):
-        label_points.move(device)
+    label_points = cast("LabelPoints", predicted.label_points)
+    label_points.move(device)
     try:
         title = f"labelling {len(frames)} scans on {device}, once: the labels are kept on disk"
         with working(title, len(frames)) if show else nullcontext(lambda: None) as advance:
@@ -224,5 +211,4 @@ def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch
                 predicted.of(frame)
                 advance()
     finally:
-        if isinstance(label_points, LabelPoints):
-            label_points.move(torch.device("cpu"))  # processes for samples have no GPU
+        label_points.move(torch.device("cpu"))  # processes for samples have no GPU
