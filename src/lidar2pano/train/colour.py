@@ -77,16 +77,23 @@ class Pix2PixColoursOptions(Pix2PixOptions):
 
 
 class ColourTask:
-    """Shared scores and previews; subclasses have data sets, `inputs` and `updates`."""
+    """Shared data sets, scores and previews; subclasses have `updates`."""
 
     released = ("renderer",)
     options: Any
-    dataset: FrontViewDataset | CameraProjectionDataset
-    validation: FrontViewDataset | CameraProjectionDataset
 
-    def __init__(self, recipe: Recipe) -> None:
-        self.options, self.networks = recipe.options, build_networks(recipe)
+    def __init__(self, recipe: Recipe, root: Path) -> None:
+        self.options, self.networks, self.view = recipe.options, build_networks(recipe), VIEWS[recipe.view]
+        self.dataset, self.validation = (self.images(root, part) for part in (recipe.data.train, recipe.data.val))
         self.logs: dict[str, float | Tensor] = {}
+
+    def images(self, root: Path, splits: tuple[str, ...]) -> FrontViewDataset | CameraProjectionDataset:
+        """Frames of some splits with the camera's images: here with the front range view.
+
+        The renderer's `size` is that of its image.
+        """
+        parts = SampleParts(labels=False, image=True)
+        return FrontViewDataset(root, splits, self.view, image_size(self.networks["renderer"]), parts)
 
     def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
         """The renderer's input (B, C, H, W) float32 for a batch."""
@@ -116,23 +123,12 @@ class ColourTask:
             rows += reversed(self.render(index))
         return {"image": as_image(torch.cat(rows, 1))}
 
-
-class FrontColourTask(ColourTask):
-    """A task whose renderer reads the front range view; the renderer's `size` is that of its image."""
-
-    def __init__(self, recipe: Recipe, root: Path) -> None:
-        super().__init__(recipe)
-        self.view, size = VIEWS[recipe.view], image_size(self.networks["renderer"])
-        parts = SampleParts(labels=False, image=True)
-        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, parts)
-        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, parts)
-
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """The view; there is no label set, since the output is colour."""
         return {"labels": None, **range_view_card(self.view)}
 
 
-class FrontColour(FrontColourTask):
+class FrontColour(ColourTask):
     """Trains a renderer by squared error and WGAN-GP, as TITAN-Net is; the critic is conditioned on the range view."""
 
     options: FrontColourOptions
@@ -151,7 +147,7 @@ class FrontColour(FrontColourTask):
         return renamed(updates, "renderer")
 
 
-class Pix2PixColours(FrontColourTask):
+class Pix2PixColours(ColourTask):
     """Trains Pix2Pix from the range view to the camera's image."""
 
     options: Pix2PixColoursOptions
@@ -178,10 +174,12 @@ class CameraColour(ColourTask):
     options: CameraColourOptions
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
-        super().__init__(recipe)
+        super().__init__(recipe, root)
         self.channels = int(recipe.networks["renderer"].settings.get("inputs", 1))
-        self.dataset = CameraProjectionDataset(root, recipe.data.train, self.options.size)
-        self.validation = CameraProjectionDataset(root, recipe.data.val, self.options.size)
+
+    def images(self, root: Path, splits: tuple[str, ...]) -> CameraProjectionDataset:
+        """Frames of some splits with the camera's images, the scan projected into it."""
+        return CameraProjectionDataset(root, splits, self.options.size)
 
     def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
         """The renderer's input (B, 1 or 2, h, w) float32 for a batch."""

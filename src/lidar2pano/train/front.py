@@ -114,8 +114,10 @@ class FrontTask:
         self.view, self.options = VIEWS[recipe.view], recipe.options
         self.networks = build_networks(recipe)
         size = image_size(self.networks["translator"])
-        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.parts)
-        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, self.parts)
+        self.dataset, self.validation = (
+            FrontViewDataset(root, splits, self.view, size, self.parts)
+            for splits in (recipe.data.train, recipe.data.val)
+        )
         self.logs: dict[str, float | Tensor] = {}
         use_predictions(recipe.options, self.dataset, self.validation)
 
@@ -370,16 +372,6 @@ def titan_next_mini() -> Recipe[FrontDepthOptions]:
     return _next(titan_mini(), 32, options)
 
 
-def without_lovasz(recipe: Recipe[FrontOptions]) -> Recipe:
-    """TITAN-Net against its critic alone."""
-    return vary(recipe, options={"lovasz": 0.0})
-
-
-def without_range(recipe: Recipe[FrontOptions]) -> Recipe:
-    """TITAN-Net whose only input are the segments."""
-    return vary(recipe, translator={"channels": 0})
-
-
 def pix2pix_segments() -> Recipe[Pix2PixSegmentsOptions]:
     """Pix2Pix from range view and segments to the camera's segments; at full length with TITAN-Net's protocol.
 
@@ -410,10 +402,10 @@ def pix2pix_mini(recipe: Recipe) -> Recipe:
 RECIPES: dict[str, Callable[[], Recipe]] = {
     "titan": titan,
     "titan-mini": titan_mini,
-    "titan-no-lovasz": lambda: without_lovasz(titan()),
-    "titan-no-lovasz-mini": lambda: without_lovasz(titan_mini()),
-    "titan-no-range": lambda: without_range(titan()),
-    "titan-no-range-mini": lambda: without_range(titan_mini()),
+    "titan-no-lovasz": lambda: vary(titan(), options={"lovasz": 0.0}),
+    "titan-no-lovasz-mini": lambda: vary(titan_mini(), options={"lovasz": 0.0}),
+    "titan-no-range": lambda: vary(titan(), translator={"channels": 0}),
+    "titan-no-range-mini": lambda: vary(titan_mini(), translator={"channels": 0}),
     "titan-next": titan_next,
     "titan-next-mini": titan_next_mini,
     "pix2pix-segments": papers_protocol(pix2pix_segments),

@@ -125,7 +125,10 @@ class LatentFrames:
         if columns % STRIDE or columns > most:
             raise InputError(f"options.columns={columns}: must be a multiple of {STRIDE}, at most {most}")
         self.columns, self.cache, self.octaves = columns, cache, 0.0
-        self._made_by = f"{FORM} {made_by(pipeline.view, *networks)}"
+        digest = hashlib.sha256(f"{SCENES} {pipeline.view}".encode())
+        for file in networks:
+            digest.update(bytes.fromhex(sha256_of(file)))
+        self._made_by = f"{FORM} {digest.hexdigest()}"
         self.places = [
             (number, camera, self._look(frame, looks))
             for number, frame in enumerate(self.frames)
@@ -382,14 +385,6 @@ def without_gaps(picture: Tensor, coverage: Tensor) -> Tensor:
     filled = picture[:, :, columns].gather(1, source.expand(len(picture), -1, -1))
     nearest = (torch.arange(coverage.shape[1])[:, None] - columns).abs().argmin(1)
     return filled[:, :, nearest]
-
-
-def made_by(view: View, *weights: str) -> str:
-    """Return what the files of frames hang on, beside the frames: raster and networks, as one hexadecimal number."""
-    digest = hashlib.sha256(f"{SCENES} {view}".encode())
-    for file in weights:
-        digest.update(bytes.fromhex(sha256_of(file)))
-    return digest.hexdigest()
 
 
 @cache

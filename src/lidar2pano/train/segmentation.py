@@ -40,7 +40,6 @@ from lidar2pano.train.task import (
     Teacher,
     build_networks,
     device_of,
-    fix_norms,
     label_preview,
     range_view_card,
     segmentation_scores,
@@ -140,8 +139,9 @@ class Segmentation:
 
     def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy over labelled pixels, Lovasz-Softmax over the classes present, the teacher."""
-        if self.options.fixed_norms:
-            fix_norms(self.networks["segmenter"])
+        for part in self.networks["segmenter"].modules() if self.options.fixed_norms else ():
+            if isinstance(part, nn.BatchNorm2d):
+                part.eval()  # it keeps its statistics
         logits = self.networks["segmenter"](batch.lidar).float()
         self.weights = self.weights.to(logits.device)  # once
         entropy = labelled_cross_entropy(logits, batch.labels, 0, self.weights)

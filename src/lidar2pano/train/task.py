@@ -153,13 +153,6 @@ def label_preview(labels: LabelSet, pairs: Iterable[Iterable[Tensor]]) -> dict[s
     return {"segments": np.concatenate([labels.paint(ids.numpy()) for pair in pairs for ids in pair])}
 
 
-def fix_norms(network: nn.Module) -> None:
-    """Make the batch norms of a network in training keep their statistics."""
-    for part in network.modules():
-        if isinstance(part, nn.BatchNorm2d):
-            part.eval()
-
-
 def range_view_card(view: View, tallest: View | None = None, normalise: Normalisation | None = None) -> dict[str, Any]:
     """Fields of the card of a network on normalised range images of `view`, as far as `tallest` (Segmenter)."""
     normalisation = (normalise or Normalisation()).as_dict()
@@ -196,19 +189,13 @@ def predict_all(task: Task, device: torch.device, rank: int = 0, world: int = 1)
         predicted = getattr(samples, "predicted", None)
         frames: FrameList[Frame] | None = getattr(samples, "frames", None)
         if isinstance(predicted, PredictedLabels) and frames is not None and not predicted.complete(frames):
-            _predict(predicted, frames[rank::world], device, show=rank == 0)
+            share, label_points = frames[rank::world], cast("LabelPoints", predicted.label_points)
+            title = f"labelling {len(share)} scans on {device}, once: the labels are kept on disk"
+            label_points.move(device)
+            with working(title, len(share)) if rank == 0 else nullcontext(lambda: None) as advance:
+                for frame in share:
+                    predicted.of(frame)
+                    advance()
+            label_points.move(torch.device("cpu"))  # processes for samples have no GPU
             if world == 1:
                 predicted.note_complete(frames)
-
-
-def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch.device, *, show: bool) -> None:
-    label_points = cast("LabelPoints", predicted.label_points)
-    label_points.move(device)
-    try:
-        title = f"labelling {len(frames)} scans on {device}, once: the labels are kept on disk"
-        with working(title, len(frames)) if show else nullcontext(lambda: None) as advance:
-            for frame in frames:
-                predicted.of(frame)
-                advance()
-    finally:
-        label_points.move(torch.device("cpu"))  # processes for samples have no GPU
