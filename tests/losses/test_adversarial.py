@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.losses import gradient_penalty
-from lidar2pano.losses.adversarial import frozen, wasserstein_updates
+from lidar2pano.losses.adversarial import frozen, gradient_penalty, wasserstein_updates
 
 
 class Critic(nn.Module):

@@ -8,14 +8,8 @@ from torch import nn
 
 from golden_fill import sym
 from golden_vectors import facts, recorded
-from lidar2pano.losses import (
-    critic_wasserstein,
-    generator_wasserstein,
-    gradient_penalty,
-    hinge_critic,
-    lovasz_softmax,
-    supervised,
-)
+from lidar2pano.losses import lovasz_softmax, supervised
+from lidar2pano.losses.adversarial import critic_wasserstein, generator_wasserstein, gradient_penalty, hinge_critic
 from lidar2pano.metrics.confusion import MeanIoU
 from slow_definitions import lovasz_softmax_slowly
 

@@ -74,7 +74,7 @@ def alike(name: str, *further: str) -> Recipe:
 @contextmanager
 def without_chance() -> Iterator[None]:
     """Inside, nothing is dropped out and gradient penalties look half-way."""
-    from lidar2pano.losses import gradient_penalty
+    from lidar2pano.losses.adversarial import gradient_penalty
 
     def kept(x: Tensor, *_: object, **__: object) -> Tensor:
         return x

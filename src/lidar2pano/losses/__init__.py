@@ -7,22 +7,7 @@ Cross entropy is torch's own: `torch.nn.functional.cross_entropy`.
 
 from __future__ import annotations
 
-from lidar2pano.losses.adversarial import (
-    critic_wasserstein,
-    generator_wasserstein,
-    gradient_penalty,
-    hinge_critic,
-)
 from lidar2pano.losses.painting import Patches, PatchStatistics, pooled
 from lidar2pano.losses.supervised import lovasz_softmax
 
-__all__ = [
-    "PatchStatistics",
-    "Patches",
-    "critic_wasserstein",
-    "generator_wasserstein",
-    "gradient_penalty",
-    "hinge_critic",
-    "lovasz_softmax",
-    "pooled",
-]
+__all__ = ["PatchStatistics", "Patches", "lovasz_softmax", "pooled"]

@@ -21,8 +21,7 @@ from lidar2pano.data.photographs import FACTOR, PhotographCrop, PhotographDatase
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import as_image
 from lidar2pano.hardware import fast_arithmetic
-from lidar2pano.losses import generator_wasserstein, hinge_critic
-from lidar2pano.losses.adversarial import frozen
+from lidar2pano.losses.adversarial import frozen, generator_wasserstein, hinge_critic
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores

@@ -238,6 +238,16 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be written ({reason}); mend that and repeat the command to go on") from None
 
 
+@contextmanager
+def reading(checkpoint: Path) -> Iterator[None]:
+    """Turn any trouble with a checkpoint's files into InputError."""
+    try:
+        yield
+    except (InputError, OSError, EOFError, ValueError, LookupError, TypeError, FloatingPointError, *BROKEN) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(f"{checkpoint} is damaged ({reason}); remove it to start again") from None
+
+
 def newest_checkpoint(run: Path) -> Path | None:
     """The folder of the run's last checkpoint, if there is one."""
     folder = run / "checkpoints"
@@ -250,10 +260,8 @@ def read_progress(run: Path) -> Progress | None:
     newest = newest_checkpoint(run)
     if newest is None:
         return None
-    try:
+    with reading(newest):
         return validated(Progress, read_json(newest / "state.json", "it was not written whole"), "state.json")
-    except (InputError, ValueError, TypeError) as error:
-        raise InputError(f"{newest} is damaged ({error}); remove it to start again") from None
 
 
 def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
@@ -261,16 +269,10 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
     newest, progress = newest_checkpoint(run), read_progress(run)
     if newest is None or progress is None:
         return None
-    try:
+    with reading(newest):
         weights = read_tensors(newest / "weights.safetensors", "it cannot be resumed")
         check_weights(weights, progress.step)
-        optimizers = load_torch(newest / "optimizers.pt")
-    except InputError as error:
-        raise InputError(f"{newest} is damaged ({error}); remove it to start again") from None
-    except (OSError, EOFError, ValueError, LookupError, TypeError, FloatingPointError, *BROKEN) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{newest} is damaged ({reason}); remove it to start again") from None
-    return progress, weights, optimizers
+        return progress, weights, load_torch(newest / "optimizers.pt")
 
 
 def make_card(spec: Network, task_fields: Mapping[str, Any], run_fields: Mapping[str, Any]) -> Card:

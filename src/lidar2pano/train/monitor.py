@@ -8,6 +8,7 @@ import secrets
 import sys
 import time
 from collections.abc import Mapping
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ class Monitor:
         if step == first_step or progress <= done:
             return ""
         left = (1 - min(progress, 1.0)) * (now - began) / (progress - done)
-        return f"{(now - began) / (step - first_step):.2f} s/step  {_clock(left)} left"
+        return f"{(now - began) / (step - first_step):.2f} s/step  {timedelta(seconds=round(left))} left"
 
     def scores(self, step: int, scores: Mapping[str, float]) -> None:
         """Curves under "val/" and a line in the log."""
@@ -93,11 +94,6 @@ class Monitor:
 
 def _formatted(values: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.4g}" for name, value in values.items())
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 def check_finite(values: Mapping[str, float], step: int) -> None:

@@ -70,14 +70,12 @@ class Task(Protocol):
 
 def with_starts(recipe: Recipe) -> Recipe:
     """Return the recipe whose networks have the settings of the files that they start from; its own go before."""
-    return replace(recipe, networks={name: _with_start(spec) for name, spec in recipe.networks.items()})
-
-
-def _with_start(spec: Network) -> Network:
-    card = read_card(spec.start) if spec.start else None
-    if card is None or card.network != spec.model:
-        return spec
-    return replace(spec, settings={**card.settings, **spec.settings})
+    networks = dict(recipe.networks)
+    for name, spec in recipe.networks.items():
+        card = read_card(spec.start) if spec.start else None
+        if card is not None and card.network == spec.model:
+            networks[name] = replace(spec, settings={**card.settings, **spec.settings})
+    return replace(recipe, networks=networks)
 
 
 def build_networks(recipe: Recipe) -> dict[str, nn.Module]:
