@@ -89,11 +89,6 @@ def device_name(device: torch.device) -> str:
     return f"{device.type}, {torch.get_num_threads()} threads"
 
 
-def world() -> int:
-    """Number of processes in the training."""
-    return distributed.get_world_size() if distributed.is_available() and distributed.is_initialized() else 1
-
-
 def check_launcher(processes: int) -> None:
     """Raise InputError when a launcher (torchrun, SLURM) started another number of processes than the run has."""
     started = os.environ.get("WORLD_SIZE", "")
@@ -105,7 +100,7 @@ def check_launcher(processes: int) -> None:
 
 def largest(device: torch.device, *values: float) -> list[float]:
     """Largest of the processes' values, one by one, for equal decisions; all processes wait here for each other."""
-    if world() == 1:
+    if not (distributed.is_available() and distributed.is_initialized()):
         return list(values)
     agreed = torch.tensor(values, dtype=torch.float64, device=device)
     distributed.all_reduce(agreed, distributed.ReduceOp.MAX)
@@ -118,7 +113,7 @@ def average_gradients(weights: Sequence[nn.Parameter]) -> None:
         weight.grad = torch.zeros_like(weight) if weight.grad is None else weight.grad
     gradients = [weight.grad for weight in weights if weight.grad is not None]
     distributed.all_reduce(flat := torch.cat([gradient.flatten() for gradient in gradients]))
-    parts = (flat / world()).split([gradient.numel() for gradient in gradients])
+    parts = (flat / distributed.get_world_size()).split([gradient.numel() for gradient in gradients])
     for gradient, part in zip(gradients, parts, strict=True):
         gradient.copy_(part.view_as(gradient))
 

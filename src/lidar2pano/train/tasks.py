@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from lidar2pano.train.segmentation import Segmentation
 from lidar2pano.train.task import Task
 from lidar2pano.train.video import VideoPainting
 
-TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
+TASKS: dict[str, Any] = {  # classes, made of a recipe and the folder of its data
     "segmentation": Segmentation,
     "camera-segmentation": CameraSegmentation,
     "front": FrontTranslation,

@@ -108,11 +108,6 @@ class PaintedFrame(NamedTuple):
     weight: Tensor
 
 
-def temporal_input(images: list[Tensor], flows: list[Flow]) -> Tensor:
-    """Images (B, 3, H, W) and the flows between them as a temporal discriminator reads them, the earliest first."""
-    return torch.cat([*images, *(flow.shift / FLOW_PX for flow in flows)], 1)
-
-
 def temporal_steps(roles: Iterable[str], painted: int) -> list[int]:
     """Frames between the images of each temporal discriminator; InputError when `painted` frames are too few."""
     numbers = [role.removeprefix(TEMPORAL) for role in roles if role.startswith(TEMPORAL)]
@@ -261,10 +256,10 @@ class VideoPainting:
     def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> tuple[Tensor, Tensor]:
         """Inputs for the camera's last image and two before it, `step` frames apart, and for the painted ones."""
         now = PREVIOUS + len(painted) - 1
-        flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
+        flows = [self.flow_over(batch, end, step).shift / FLOW_PX for end in (now - step, now)]
         real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
         fake = [painted[-1 - back * step] for back in (2, 1, 0)]
-        return temporal_input(real, flows), temporal_input(fake, flows)
+        return torch.cat([*real, *flows], 1), torch.cat([*fake, *flows], 1)
 
     def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """Reference flow of a frame to the frame `step` earlier."""
