@@ -254,7 +254,7 @@ class VideoPainting:
         )
 
     def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> tuple[Tensor, Tensor]:
-        """Inputs for the camera's last image and two before it, `step` frames apart, and for the painted ones."""
+        """Return inputs (B, 13, H, W), real and painted: three images `step` frames apart, and the flows between."""
         now = PREVIOUS + len(painted) - 1
         flows = [self.flow_over(batch, end, step).shift / FLOW_PX for end in (now - step, now)]
         real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
