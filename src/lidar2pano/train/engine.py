@@ -52,7 +52,7 @@ from lidar2pano.train.environment import (
     log_precision,
     shared,
 )
-from lidar2pano.train.monitor import Monitor, check_finite
+from lidar2pano.train.monitor import Monitor
 from lidar2pano.train.recipe import Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, lost_workers, seed_step, steps_over
 from lidar2pano.train.task import Task, predict_all, with_starts
@@ -300,7 +300,9 @@ class Run:
     def _show(self) -> None:
         """Read and show the losses since the last time; NaN or infinity raises FloatingPointError."""
         losses = self.meter.read()
-        check_finite(losses, self.progress.step)
+        if wrong := [name for name, value in losses.items() if not isfinite(value)]:
+            names, step = ", ".join(wrong), self.progress.step
+            raise FloatingPointError(f"{names} is not finite near step {step}; the last checkpoint is sound")
         if self.monitor:
             self.monitor.step(self.progress.step, self._done(), {**losses, **self.rates})
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import secrets
 import sys
 import time
@@ -94,10 +93,3 @@ class Monitor:
 
 def _formatted(values: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.4g}" for name, value in values.items())
-
-
-def check_finite(values: Mapping[str, float], step: int) -> None:
-    """Raise FloatingPointError when a loss is not a number, before a checkpoint would keep the damage."""
-    wrong = [name for name, value in values.items() if not math.isfinite(value)]
-    if wrong:
-        raise FloatingPointError(f"{', '.join(wrong)} is not finite near step {step}; the last checkpoint is sound")
