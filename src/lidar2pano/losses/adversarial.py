@@ -226,8 +226,8 @@ class DiffAugment:
         rows, columns = images.shape[-2:]
         translated = []
         for image, down, right in zip(images, self.down.tolist(), self.right.tolist(), strict=True):
-            below, beside = round(down * rows), round(right * columns)
-            translated.append(pad(image, (beside, -beside, below, -below)))
+            row_shift, column_shift = round(down * rows), round(right * columns)
+            translated.append(pad(image, (column_shift, -column_shift, row_shift, -row_shift)))
         in_row, in_column = (
             (torch.linspace(0, 1, pixels)[None] - middle[:, None]).abs() <= CUTOUT / 2  # NaN is never inside
             for pixels, middle in ((rows, self.cut_row), (columns, self.cut_column))

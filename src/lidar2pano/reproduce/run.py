@@ -235,12 +235,12 @@ def reproduce(plan: Plan) -> Outcome:
     outcome, files = Outcome(), dict[str, Path]()
     scored = sampled(frames(plan.data, plan.split), plan.frames)  # now: a mistake in the data concerns every part
     if plan.segmenter:
-        given = weight_files(plan.segmenter, fill=False)
-        if "segmenter" not in given:
+        segmenter_files = weight_files(plan.segmenter, fill=False)
+        if "segmenter" not in segmenter_files:
             raise InputError(
                 f"--segmenter {plan.segmenter}: has no weights of a LiDAR segmenter; name a family, run or file"
             )
-        files[SEGMENTER] = given["segmenter"]
+        files[SEGMENTER] = segmenter_files["segmenter"]
     for part in plan.parts:
         try:
             files[part] = train_part(plan, part, files)

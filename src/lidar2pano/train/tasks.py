@@ -37,5 +37,5 @@ TASKS: dict[str, Any] = {  # classes, made of a recipe and the folder of its dat
 
 
 def build_task(recipe: Recipe, root: Path) -> Task:
-    """The recipe's task over the data under `root`; InputError for data or settings with which it cannot be."""
+    """The recipe's task over the data under `root`; InputError for impossible settings, or without its data."""
     return TASKS[recipe.task](recipe, root)

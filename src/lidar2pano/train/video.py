@@ -206,7 +206,7 @@ class VideoPainting:
 
         flow                 equation 8 of the paper, both parts;  perceptual, pixels: of `fake` and `raw`.
         coherence, mask      in the published code only (G_Warp, and loss W with --no_first_img): `fake` is near the
-                             warped image before, of which `weight` leaves most where the flow is known.
+                             warped image before, and most of that is left if its flow is known.
         """
         options, circular, flow_known = self.options, self.framing.circular, frame.flow.known
         losses: dict[str, Tensor] = {}
