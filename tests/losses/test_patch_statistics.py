@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from lidar2pano.losses.painting import FIRST, MOST_STRETCH, Patches, PatchStatistics, transport
-from lidar2pano.metrics.frechet import Normal, normal_distance
+from lidar2pano.metrics.frechet import Normal, frechet_distance
 
 SIZE = 4
 
@@ -35,7 +35,7 @@ def distance(painted: torch.Tensor, real: torch.Tensor) -> float:
     normal = [
         Normal(x.mean(0).numpy(), np.cov(x.numpy().T), len(x)) for x in (painted.detach().double(), real.double())
     ]
-    return normal_distance(*normal)
+    return frechet_distance(*normal)
 
 
 def patches_of(values: torch.Tensor, group: int = 0, *, groups: int = 2, counted: int | None = None) -> Patches:
