@@ -83,13 +83,11 @@ def test_vote_is_the_published_one(golden: Path, class_image: Tensor) -> None:
     ranges = torch.from_numpy(projected.proj_range)
     ours = vote(
         ranges.where(ranges >= 0, torch.inf),
-        class_image.int(),
+        class_image,
         (torch.from_numpy(projected.proj_y).long(), torch.from_numpy(projected.proj_x).long()),
         torch.from_numpy(scan.xyz).norm(dim=1),
         own=torch.ones(len(scan), dtype=torch.bool),
         circular=False,
-        weights=inverse_gaussian(5, 1.0),
-        limits=(5, 1.0),
     ).numpy()
     differs = ours != published
     assert set(ours[differs]) == {0} and set(published[differs]) == {1} and differs.sum() == 4972
@@ -108,7 +106,7 @@ def test_clean_up_of_our_projection_is_the_published_one(golden: Path, class_ima
 
 @pytest.mark.parity
 def test_inverse_gaussian_is_the_published_one(golden: Path) -> None:
-    recorded(golden, "knn_inv_gauss")["inv_gauss"].assert_close(inverse_gaussian(5, 1.0), 1e-7)
+    recorded(golden, "knn_inv_gauss")["inv_gauss"].assert_close(inverse_gaussian(), 1e-7)
 
 
 def test_a_hidden_point_takes_the_class_of_its_own_surface():
@@ -149,15 +147,15 @@ def test_unusable_points_and_lone_unlabeled_ones_are_unlabeled():
     assert clean_up(image, image.spread(torch.tensor([7, 7, 7, 0]))).tolist() == [0, 0, 7, 0]
 
 
-@pytest.mark.parametrize(("neighbours", "winner"), [(1, 5), (3, 5), (5, 2)])
-def test_neighbours_that_vote(neighbours, winner):
-    """Around a point of class 5: one more 5 at 1 cm, then 2s at 2 cm."""
+@pytest.mark.parametrize(("farthest", "winner"), [(2, 5), (3, 2)])
+def test_five_neighbours_vote(farthest, winner):
+    """Around a point of class 2: one more 2 at 1 cm, then 5s at 2 cm, the last of them perhaps out of the window."""
     step = 360 / AROUND.columns
-    ranges = {0: 10.0, 1: 10.01, -1: 10.02, 2: 10.02, -2: 10.02}
+    ranges = {0: 10.0, 1: 10.01, -1: 10.02, 2: 10.02, -farthest: 10.02}
     scan = scan_of(*(polar(step * (i + 0.5), r) for i, r in ranges.items()))
     image = project(scan, AROUND)
-    ids = image.spread(torch.tensor([5, 5, 2, 2, 2]))
-    assert clean_up(image, ids, neighbours=neighbours)[0] == winner
+    ids = image.spread(torch.tensor([2, 2, 5, 5, 5]))
+    assert clean_up(image, ids)[0] == winner
 
 
 def test_of_equal_votes_the_lowest_id_wins():
@@ -172,30 +170,15 @@ def test_every_id_up_to_255_survives(label):
     assert clean_up(image, torch.full((16, 96), label)).tolist() == [label, label]
 
 
-def test_a_window_of_one_pixel_gives_the_pixels_class():
-    image, ids = project(crowded_scan(), AROUND), class_map(AROUND)
-    ours = clean_up(image, ids, search=1)
-    inside = image.inside
-    assert torch.equal(ours[inside], ids[image.row[inside], image.column[inside]])
-
-
 def test_cut_off():
     step = 360 / AROUND.columns
     image = project(scan_of(polar(step / 2, 10), polar(1.5 * step, 11.2)), AROUND)
     ids = image.spread(torch.tensor([0, 3]))
     assert clean_up(image, ids).tolist() == [0, 3]
-    assert clean_up(image, ids, cutoff_m=1.5).tolist() == [3, 3]
 
 
 def test_an_empty_scan_has_no_labels():
     assert clean_up(project(scan_of(), AROUND), class_map(AROUND)).shape == (0,)
-
-
-@pytest.mark.parametrize("setting", [{"search": 4}, {"neighbours": 0}])
-def test_settings_without_a_meaning_are_refused(setting):
-    image = project(crowded_scan(10), AROUND)
-    with pytest.raises(ValueError, match="odd search window and at least one neighbour"):
-        clean_up(image, class_map(AROUND), **setting)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
