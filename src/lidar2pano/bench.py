@@ -26,7 +26,7 @@ from lidar2pano.markdown import markdown_table
 from lidar2pano.memory import Memory
 from lidar2pano.models import build
 from lidar2pano.models.families import best_family, families
-from lidar2pano.pipeline import Pipeline, Segmenter, assemble, engine_parts, load, made_fast
+from lidar2pano.pipeline import Pipeline, Segmenter, engine_parts, load, made_fast
 from lidar2pano.pipeline.segmenter import clean_up
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import Scan
@@ -183,12 +183,12 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
     for network, name in ((segmenter, "salsanext"), (translator, "titan-pano"), (painter, "latent-painter")):
         for model, part in engine_parts(network, name).items():
             accelerated(part, model, "", engine, device)
-    return assemble(
-        Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
-        translator,
-        painter,  # pyright: ignore[reportArgumentType] a LatentPainter, as built
-        VIEWS["panorama"].scaled(0.5),
-        device,
+    return Pipeline(
+        segmenter=Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
+        translator=translator,
+        painter=painter,  # pyright: ignore[reportArgumentType] a LatentPainter, as built
+        view=VIEWS["panorama"].scaled(0.5),
+        device=device,
         engine=pick_engine(engine, device),
     )
 

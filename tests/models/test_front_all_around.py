@@ -13,7 +13,7 @@ from lidar2pano.cli import main
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.models.titan_pano import PANORAMA, FrontAllAround
-from lidar2pano.pipeline import load
+from lidar2pano.pipeline import PaperPipeline, load
 from random_weights import FRONT_VIEW, street, write_front, write_scan, write_weights
 
 VIDEO = {"channels": 16, "widths": (4,), "downsamplings": 1, "blocks": (1, 1), "foreground": ()}
@@ -84,4 +84,4 @@ def test_translate_takes_titan_net_and_vid2vid_together(tmp_path, capsys):
         image = np.asarray(Image.open(tmp_path / "out" / name))
         assert image.shape[:2] == (2 * PANORAMA.rows, 2 * PANORAMA.columns)
     pipeline = load(f"{weights}+{video}", "cpu")
-    assert pipeline.input_view == pipeline.translator.input_view and pipeline.view == PANORAMA
+    assert isinstance(pipeline, PaperPipeline) and pipeline.view == PANORAMA

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from lidar2pano.models.card import read_card, save
 from lidar2pano.models.families import licence_note, weight_files
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import PaperPipeline, Segmenter, load
+from lidar2pano.pipeline import PaperPipeline, Pipeline, Segmenter, load
 from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import measured_depth
 from lidar2pano.views import VIEWS, View
@@ -176,6 +176,11 @@ def test_measured_pixels_have_the_distance_of_their_nearest_point(panorama, tmp_
     assert np.array_equal(read_image(path), panorama.measured * np.uint8(255))
 
 
+def as_paper(pipeline: Pipeline) -> PaperPipeline:
+    pipeline.translator.input_view = pipeline.view
+    return PaperPipeline(**{part.name: getattr(pipeline, part.name) for part in fields(Pipeline)})
+
+
 def test_predicted_depths_keep_to_the_measurement(pipeline):
     """Of our translator; a network of the paper predicts its own depths, as its scores are."""
     raw = []
@@ -186,7 +191,7 @@ def test_predicted_depths_keep_to_the_measurement(pipeline):
     assert torch.equal(scene.probabilities, logits.float().softmax(1)) and not torch.equal(scene.depth_m, depth_m)
     expected = measured_depth(depth_m, scene.channels, scene.ids, scene.viewpoint_m, pipeline.view)
     assert torch.equal(scene.depth_m, expected)
-    paper = PaperPipeline.of(watched, pipeline.view).translate(street(), Timer(pipeline.device))
+    paper = as_paper(watched).translate(street(), Timer(pipeline.device))
     assert torch.equal(paper.probabilities, raw[1][0].float().softmax(1)) and torch.equal(paper.depth_m, raw[1][1])
 
 
@@ -210,7 +215,7 @@ def test_networks_see_points_between_the_beams_of_a_sparse_sensor(pipeline):
     channels, condition = inputs[1]
     assert labelled.points.labels.tolist() == labels.tolist()
     assert torch.equal(condition[0, 9] == 1, channels[0, 0] > 0), "of the nearest point of the scan"
-    paper = PaperPipeline.of(watched, pipeline.view)
+    paper = as_paper(watched)
     assert torch.equal(paper.translate(scan, timer).channels[0], sparse.channels)
 
 

@@ -305,7 +305,7 @@ def _panorama(
     painter = load_painter(files["painter"], first, view, device, engine)[0] if "painter" in files else NoPainter()
     return PanoramaSystem(
         info=_info(name, files),
-        pipeline=assemble(segmenter, translator, painter, view, device),
+        pipeline=assemble(translator, segmenter=segmenter, painter=painter, view=view, device=device),
         paints="painter" in files,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, cast
 
 import torch
 from torch import nn
@@ -30,23 +30,11 @@ from lidar2pano.views import View
 log = logging.getLogger("lidar2pano")
 
 
-class Parts(NamedTuple):
-    """The networks of a pipeline, ready for inference, and their files and cards: fields of a Pipeline."""
+def load_parts(files: Mapping[str, Path], device: str | torch.device, engine: str, source: object) -> dict[str, Any]:
+    """The fields of a Pipeline from weight files by role (`models.families.weight_files`).
 
-    segmenter: Segmenter
-    translator: nn.Module
-    painter: StreamPainter
-    view: View
-    device: torch.device
-    cards: Mapping[str, Card]
-    engine: str
-    files: Mapping[str, Path]
-
-
-def load_parts(files: Mapping[str, Path], device: str | torch.device, engine: str, source: object) -> Parts:
-    """The parts of weight files by role (`models.families.weight_files`); the other arguments as of `load`.
-
-    source  the name that a user gave. Raises InputError when a part is missing, and as `load`.
+    device, engine  as of `load`;  source: the name that a user gave.
+    Raises InputError when a part is missing, and as `load`.
     """
     picked = pick_device(device)
     runs_on = pick_engine(engine, picked)
@@ -59,7 +47,8 @@ def load_parts(files: Mapping[str, Path], device: str | torch.device, engine: st
     translator, card, view = load_translator(files["translator"], picked, engine)
     painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked, engine)
     cards = {"segmenter": segmenter_card, "translator": card, "painter": painter_card}
-    return Parts(segmenter, translator, painter, view, picked, cards, runs_on, files)
+    networks = {"segmenter": segmenter, "translator": translator, "painter": painter}
+    return {**networks, "view": view, "device": picked, "cards": cards, "engine": runs_on, "files": files}
 
 
 def load_translator(file: Path, device: torch.device, engine: str = "torch") -> tuple[nn.Module, Card, View]:

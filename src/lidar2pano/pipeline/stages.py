@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, Self, TypeVar, Unpack
+from typing import Any, NamedTuple, TypeVar, Unpack
 
 import numpy as np
 import torch
@@ -120,7 +120,7 @@ class Pipeline:
         """
         name = pretrained_model_name_or_path
         folder = hub_folder(name, revision, cache_dir, force_download, token, local_files_only)
-        return assemble(**load_parts(weight_files(folder, fill=False), device, engine, name)._asdict())
+        return assemble(**load_parts(weight_files(folder, fill=False), device, engine, name))
 
     def save_pretrained(
         self,
@@ -389,17 +389,9 @@ class Pipeline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperPipeline(Pipeline):
-    """The paper's pipeline: a range view in, front-view networks all around; scan and predictions stay as they are.
+    """The paper's pipeline: a range view in, front-view networks all around; scan and predictions stay as they are."""
 
-    input_view  the raster of the scan that the translator reads.
-    """
-
-    input_view: View
-
-    @classmethod
-    def of(cls, pipeline: Pipeline, input_view: View) -> Self:
-        """Return a pipeline's parts as the paper's."""
-        return cls(**{part.name: getattr(pipeline, part.name) for part in fields(Pipeline)}, input_view=input_view)
+    translator: FrontAllAround
 
     def reaching(self, elevation: str | tuple[float, float]) -> Pipeline:
         """Refuse another elevation (InputError): the networks predict a camera's rows."""
@@ -425,7 +417,7 @@ class PaperPipeline(Pipeline):
         return scan, image, torch.arange(len(scan), device=image.index.device)
 
     def _translator_image(self, scan: Scan, image: RangeImage) -> RangeImage:  # noqa: ARG002
-        return self._checked(scan, project(scan, self.input_view, device=self.device))
+        return self._checked(scan, project(scan, self.translator.input_view, device=self.device))
 
 
 def _next_of(values: Iterator[ValueT], kind: str, number: int, scan: Scan) -> ValueT:
@@ -453,31 +445,11 @@ def load(
     """
     files = weights if isinstance(weights, Mapping) else weight_files(weights)
     source = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
-    return assemble(**load_parts(files, device, engine, source)._asdict())
+    return assemble(**load_parts(files, device, engine, source))
 
 
-def assemble(  # noqa: PLR0913 parts of a pipeline
-    segmenter: Segmenter,
-    translator: nn.Module,
-    painter: StreamPainter,
-    view: View,
-    device: torch.device,
-    *,
-    cards: Mapping[str, Card] | None = None,
-    engine: str = "torch",
-    files: Mapping[str, Path] | None = None,
-) -> Pipeline:
-    """Build the pipeline that fits a translator: ours, or the paper's for a FrontAllAround. Arguments as its fields."""
-    pipeline = Pipeline(
-        segmenter=segmenter,
-        translator=translator,
-        painter=painter,
-        view=view,
-        device=device,
-        cards=cards or {},
-        engine=engine,
-        files=files or {},
-    )
-    if not isinstance(translator, FrontAllAround):
-        return pipeline
-    return PaperPipeline.of(pipeline, translator.input_view)
+def assemble(translator: nn.Module, **parts: Any) -> Pipeline:  # noqa: ANN401 fields of a Pipeline
+    """Build the pipeline that fits a translator: ours, or the paper's for a FrontAllAround."""
+    if isinstance(translator, FrontAllAround):
+        return PaperPipeline(translator=translator, **parts)
+    return Pipeline(translator=translator, **parts)

@@ -31,7 +31,7 @@ from lidar2pano.models.latent_painter import (
     expected_latents,
     photograph_of,
 )
-from lidar2pano.pipeline import assemble, load_part, load_segmenter
+from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
 from lidar2pano.train.latent_frames import LatentFrames, LatentSample
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
 from lidar2pano.train.task import build_networks, device_of
@@ -108,7 +108,9 @@ class LatentPainting:
         device = torch.device("cpu")
         segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
-        pipeline = assemble(segmenter, translator, self.painter, self.view, device)
+        pipeline = Pipeline(
+            segmenter=segmenter, translator=translator, painter=self.painter, view=self.view, device=device
+        )
         networks = (recipe.options.segmenter, recipe.options.translator)
         self.dataset, self.validation = (
             self.frames(
