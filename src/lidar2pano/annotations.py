@@ -24,30 +24,6 @@ FORMS = ("coco", "cityscapes", "yolo")
 TO_CITYSCAPES = COMMON15.table_to(CITYSCAPES_IDS, {"other-vehicle": "dynamic", "traffic-sign": "traffic sign"})
 CITYSCAPES_THINGS = tuple(CITYSCAPES_IDS.id_of(name) for name in ("person", "car", "truck", "motorcycle", "bicycle"))
 MOST_INSTANCES = 1000  # of a class: an instance's value is the class's id x 1000 and its number
-Box = tuple[int, int, int, int]  # x, y, width, height in pixels
-
-
-@dataclass(frozen=True, kw_only=True)
-class Segment:
-    """An instance of a thing, or all other pixels of a class.
-
-    value     in the panoptic image;  category: id of COMMON15;  crowd: whether it may be several things.
-    area      in pixels;  box: x, y, width, height;  score: mean confidence of its pixels, None where it is not known.
-    measured  share of its pixels with a point of the scan.
-    """
-
-    value: int
-    category: int
-    crowd: bool
-    area: int
-    box: Box
-    score: float | None
-    measured: float
-
-    @property
-    def is_instance(self) -> bool:
-        """Whether it is an instance: values behind the classes are."""
-        return self.value >= len(COMMON15)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,62 +33,49 @@ class Annotation:
     panorama: Panorama
 
     @cached_property
-    def instances(self) -> np.ndarray:
-        """(h, w) int32: number of each pixel's instance, see `thing_instances`."""
-        segments, measured = self.panorama.segments, self.panorama.measured
-        measured = np.ones(segments.shape, dtype=bool) if measured is None else measured
-        return thing_instances(segments, self.panorama.depth_m, measured, circular=self.panorama.view.circular)
-
-    @cached_property
     def values(self) -> np.ndarray:
         """(h, w) int32: each pixel's segment: the class, or behind the classes the number of the instance; 0: none."""
-        behind = self.instances + (len(COMMON15) - 1)
-        return np.where(self.instances > 0, behind, self.panorama.segments).astype(np.int32)
+        segments, measured = self.panorama.segments, self.panorama.measured
+        measured = np.ones(segments.shape, dtype=bool) if measured is None else measured
+        instances = thing_instances(segments, self.panorama.depth_m, measured, circular=self.panorama.view.circular)
+        return np.where(instances > 0, instances + (len(COMMON15) - 1), segments).astype(np.int32)
 
     @cached_property
-    def segments(self) -> list[Segment]:
-        """All segments, in the order of their values."""
+    def segments(self) -> list[dict[str, Any]]:
+        """All instances of things, and of other pixels all of a class, as COCO's segments_info, in order of their ids.
+
+        id       in `values`;  iscrowd: whether it may be several things.
+        score    mean confidence of its pixels, None where it is not known;  measured: share with a point of the scan.
+        """
         value, counts = np.unique(self.values, return_counts=True)
         pixels = np.split(np.argsort(self.values, axis=None, kind="stable"), counts.cumsum()[:-1])
         return [self._segment(int(number), part) for number, part in zip(value, pixels, strict=True) if number]
 
-    def _segment(self, value: int, pixels: np.ndarray) -> Segment:
+    def _segment(self, value: int, pixels: np.ndarray) -> dict[str, Any]:
         row, column = np.divmod(pixels, self.values.shape[1])
         confidence, measured = self.panorama.confidence, self.panorama.measured
         category = int(self.panorama.segments[row[0], column[0]])
         x, y = int(column.min()), int(row.min())
-        return Segment(
-            value=value,
-            category=category,
-            crowd=category in THINGS and value < len(COMMON15),
-            area=len(row),
-            box=(x, y, int(column.max()) - x + 1, int(row.max()) - y + 1),
-            score=None if confidence is None else round(float(confidence[row, column].mean()), 4),
-            measured=0.0 if measured is None else round(float(measured[row, column].mean()), 4),
-        )
+        return {
+            "id": value,
+            "category_id": category,
+            "iscrowd": int(category in THINGS and not is_instance(value)),
+            "area": len(row),
+            "bbox": [x, y, int(column.max()) - x + 1, int(row.max()) - y + 1],
+            "score": None if confidence is None else round(float(confidence[row, column].mean()), 4),
+            "measured": 0.0 if measured is None else round(float(measured[row, column].mean()), 4),
+        }
 
     def coco(self, stem: str, image: str) -> dict[str, Any]:
         """Return the JSON of COCO panoptic for this one image, whose file is called `image`."""
         rows, columns = self.values.shape
         number = int(hashlib.sha256(os.fsencode(stem)).hexdigest()[:12], 16)  # differs among images put together
-        segments = [
-            {
-                "id": segment.value,
-                "category_id": segment.category,
-                "iscrowd": int(segment.crowd),
-                "area": segment.area,
-                "bbox": list(segment.box),
-                "score": segment.score,
-                "measured": segment.measured,
-            }
-            for segment in self.segments
-        ]
         categories = [
             {"id": index, "name": name, "supercategory": name, "isthing": int(index in THINGS), "color": list(colour)}
             for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
             if index
         ]
-        annotation = {"image_id": number, "file_name": f"{stem}.panoptic.png", "segments_info": segments}
+        annotation = {"image_id": number, "file_name": f"{stem}.panoptic.png", "segments_info": self.segments}
         images = [{"id": number, "file_name": image, "height": rows, "width": columns}]
         return {"images": images, "annotations": [annotation], "categories": categories}
 
@@ -126,9 +89,9 @@ class Annotation:
         labels = TO_CITYSCAPES[self.panorama.segments]
         table, counts = np.zeros(self.values.max() + 1, dtype=np.uint16), dict.fromkeys(CITYSCAPES_THINGS, 0)
         for segment in self.segments:
-            label = table[segment.value] = int(TO_CITYSCAPES[segment.category])
-            if segment.is_instance and label in counts and counts[label] < MOST_INSTANCES:
-                table[segment.value] = label * 1000 + counts[label]
+            label = table[segment["id"]] = int(TO_CITYSCAPES[segment["category_id"]])
+            if is_instance(segment["id"]) and label in counts and counts[label] < MOST_INSTANCES:
+                table[segment["id"]] = label * 1000 + counts[label]
                 counts[label] += 1
         return labels, table[self.values]
 
@@ -139,24 +102,28 @@ class Annotation:
         """
         rows, columns = self.values.shape
         lines = [
-            f"{THINGS.index(segment.category)} {(x + w / 2) / columns:.6f} {(y + h / 2) / rows:.6f}"
+            f"{THINGS.index(segment['category_id'])} {(x + w / 2) / columns:.6f} {(y + h / 2) / rows:.6f}"
             f" {w / columns:.6f} {h / rows:.6f}\n"
             for segment in self.segments
-            if segment.is_instance
-            for x, y, w, h in self._parts(segment)
+            if is_instance(segment["id"])
+            for x, y, w, h in self._parts(segment["id"], *segment["bbox"])
         ]
         return "".join(lines)
 
-    def _parts(self, segment: Segment) -> Iterator[Box]:
+    def _parts(self, value: int, x: int, _: int, width: int, __: int) -> Iterator[tuple[int, int, int, int]]:
         """Yield the boxes of an instance's parts left and right of a gap of empty columns across the middle."""
-        x, _, width, _ = segment.box
-        inside = self.values[:, x : x + width] == segment.value
+        inside = self.values[:, x : x + width] == value
         empty = np.flatnonzero(~inside.any(0))
         crosses = width == self.values.shape[1] and len(empty)
         for part in (slice(0, empty[0]), slice(empty[-1] + 1, width)) if crosses else (slice(0, width),):
             row, column = np.nonzero(inside[:, part])
             left, top = x + part.start + int(column.min()), int(row.min())
             yield left, top, int(np.ptp(column)) + 1, int(np.ptp(row)) + 1
+
+
+def is_instance(value: int) -> bool:
+    """Whether a segment is an instance: values behind the classes are."""
+    return value >= len(COMMON15)
 
 
 def parse_forms(text: str) -> tuple[str, ...]:

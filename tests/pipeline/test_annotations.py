@@ -138,7 +138,9 @@ def test_nothing_that_is_painted_is_read(around, tmp_path):
 
 def test_a_panorama_without_confidence_and_points_claims_none(around):
     segments = Annotation(replace(around, confidence=None, measured=None)).segments
-    assert {segment.score for segment in segments} == {None} and {segment.measured for segment in segments} == {0.0}
+    assert {segment["score"] for segment in segments} == {None} and {segment["measured"] for segment in segments} == {
+        0.0
+    }
 
 
 def test_an_unknown_form_is_one_line(capsys):
