@@ -184,7 +184,7 @@ def painter(**settings):
 def test_a_scan_is_painted_and_another_step_count_paints_another_picture():
     scene = scene_of(street())
     with torch.inference_mode():
-        pictures = [painter(steps=steps).paint(None, scene)[1] for steps in (1, 2, 5)]
+        pictures = [painter(steps=steps).paint(None, scene)[1] for steps in (1, 2, 4)]
         again = painter(steps=2).paint(None, scene)[1]
     assert {tuple(picture.shape) for picture in pictures} == {(1, 3, 64, 768)}
     assert all(float(picture.abs().max()) <= 1 for picture in pictures)
@@ -201,23 +201,17 @@ def moment(time: torch.Tensor, length: float) -> torch.Tensor:
     return torch.tensor([parts])
 
 
-@pytest.mark.parametrize("steps", [1, 4, 6])
+@pytest.mark.parametrize("steps", [1, 4])
 def test_steps_are_those_of_the_definition(steps):
-    """Learned steps ask for their own length; more steps for the instant velocity, led away from the free one."""
+    """Steps ask for the mean velocity over their own length."""
     network = painter(steps=steps)
-    network.guidance = 1.7
     conditions, shares, noise = torch.randn(1, 26, 16, 32), torch.ones(1, 1), torch.randn(1, 4, 4, 8)
     clues = (torch.randn(1, 5, 4, 8), torch.randn(1, 9))
     with torch.inference_mode():
         mean, x = network.mean(conditions, shares), noise
         for number in range(steps):
             time = torch.tensor([number / steps])
-            if steps <= 4:
-                velocity = network.flow(conditions, shares, mean, x, time, moment(time, 1 / steps), *clues)
-            else:
-                given = network.flow(conditions, shares, mean, x, time, moment(time, 0), *clues)
-                free = network.flow(0 * conditions, shares, 0 * mean, x, time, moment(time, 0), *clues)
-                velocity = free + 1.7 * (given - free)
+            velocity = network.flow(conditions, shares, mean, x, time, moment(time, 1 / steps), *clues)
             x = x + velocity / steps
         torch.testing.assert_close(
             network.latents_of(conditions, shares, noise, Clues(*clues)), x, atol=1e-4, rtol=1e-4
@@ -303,7 +297,7 @@ def test_normalised_latents_have_no_mean_and_unit_deviation():
 
 
 def test_settings_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="at least one step"):
+    with pytest.raises(InputError, match="takes 1, 2 or 4 steps, not 0"):
         build("latent-painter", **SMALL, steps=0)
     with pytest.raises(InputError, match="knows no look 'dusk'"):
         painter().look_shares("dusk")

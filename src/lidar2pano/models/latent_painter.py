@@ -43,10 +43,10 @@ SKY = COMMON15.id_of("sky")
 STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
 WAVES = 32  # of the embedding of times, as many sines as cosines
 FASTEST = 1e3  # angular frequency of the last of them, for times in [0, 1]; the first one's is 1
-GUIDANCE = 1.4  # of instant velocities: the conditioned one's weight against the unconditional one
+GUIDANCE = 1.4  # of learned steps: the conditioned velocity's weight against the unconditional one
 FAINT = 1e-3  # deviation of the first weights of a layer whose output is next to nothing at first
 CODE_DEVIATION = 0.1  # of the looks' codes at first
-LEARNED_STEPS = (1, 2, 4)  # numbers of steps whose lengths the flow learns; more are steps of its instant velocity
+LEARNED_STEPS = (1, 2, 4)  # numbers of a picture's steps, whose lengths the flow learns
 
 
 def conditions_of(scene: Scene) -> Tensor:
@@ -313,7 +313,7 @@ class LatentPainter(nn.Module):
     """Mean network, flow network, and the decoder of an Autoencoder; a StreamPainter.
 
     looks             their names, the default first.
-    steps             of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
+    steps             of a picture, of LEARNED_STEPS.
     latents, autoencoder  as of Autoencoder: latents; encoder and decoder.
     mean, flow        widths and blocks of their ConditionedUNets.
     code              length of the code of look, time and length of the step, which modulates them.
@@ -332,8 +332,8 @@ class LatentPainter(nn.Module):
         palette: bool = False,
     ) -> None:
         super().__init__()
-        if steps < 1:
-            raise InputError(f"a picture takes at least one step, not {steps}")
+        if steps not in LEARNED_STEPS:
+            raise InputError(f"a picture takes 1, 2 or 4 steps, not {steps}")
         self.looks, self.look = tuple(looks), looks[0]
         self.latents, self.steps, self.guidance, self.seed = latents, steps, GUIDANCE, 0
         self.palette = palette
@@ -398,23 +398,9 @@ class LatentPainter(nn.Module):
         step = x.new_full((len(x),), 1 / self.steps)
         for number in range(self.steps):
             time = step * number
-            if self.steps in LEARNED_STEPS:
-                velocity = self.flow(conditions, shares, mean, x, time, moment_of(time, step), *clues)
-            else:
-                velocity = self._guided(conditions, shares, mean, x, time, clues)
+            velocity = self.flow(conditions, shares, mean, x, time, moment_of(time, step), *clues)
             x = x + velocity.float() / self.steps
         return x
-
-    def _guided(  # noqa: PLR0913, PLR0917 the inputs of a network
-        self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor, clues: Clues
-    ) -> Tensor:
-        """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
-        scene = (torch.cat([part, 0 * part]) for part in (conditions, mean))
-        state = (torch.cat([part, part]) for part in (shares, noisy, time, *clues))
-        (conditions, mean), (shares, noisy, time, *twice) = scene, state
-        moment = moment_of(time, 0 * time)
-        conditioned, free = self.flow(conditions, shares, mean, noisy, time, moment, *twice).chunk(2)
-        return torch.lerp(free, conditioned, self.guidance)
 
     def paint(self, past: Particles | None, scene: Scene, look: str = "") -> tuple[Particles | None, Tensor]:
         """Paint a scan; arguments and answer as of StreamPainter. The noise hangs on the world."""
