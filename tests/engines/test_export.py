@@ -130,12 +130,6 @@ def test_a_graph_that_differs_leaves_no_file(weights, graphs, tmp_path, monkeypa
     assert not (tmp_path / "bad").exists()
 
 
-def test_another_best_class_is_a_difference_unless_the_best_two_are_alike():
-    reference = torch.tensor([1.0, 1.00005, 0.0])[None, :, None, None]
-    assert not engine_export._other_best(reference[:, [1, 0, 2]], reference)
-    assert engine_export._other_best(reference[:, [0, 2, 1]], reference)
-
-
 def test_what_cannot_be_exported(tmp_path, monkeypatch, capsys):
     with pytest.raises(InputError, match="the painter is a 'vid2vid', which cannot be exported; name weights of sal"):
         check_exportable({"segmenter": "salsanext", "painter": "vid2vid"})

@@ -6,15 +6,14 @@ import hashlib
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from lidar2pano.engines import disk_cache
+from lidar2pano.engines.runtimes import Engine, Run
 from lidar2pano.engines.signatures import SIGNATURES, Shape, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import fast_arithmetic
@@ -28,25 +27,6 @@ TIMES = 1.5
 MORE_DISTANCE = 2e-3  # of the output's root mean square
 MORE_PIXELS = 2e-3  # of all pixels, whose class is another
 MODELS = Path(__file__).parent.parent / "models"
-Run = Callable[[tuple[Tensor, ...]], tuple[Tensor, ...]]
-
-
-class Engine(Protocol):
-    """A compiler of networks for inputs of one shape, and its run time."""
-
-    name: str
-
-    def conditions(self) -> str:
-        """Return the conditions of a compiled network besides the network: versions, the processor, the arithmetic."""
-        ...
-
-    def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:
-        """Compile the network."""
-        ...
-
-    def open(self, compiled: bytes, device: torch.device) -> Run:
-        """Load a compiled network."""
-        ...
 
 
 class UnfitError(Exception):

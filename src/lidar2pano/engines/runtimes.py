@@ -11,7 +11,7 @@ import io
 import json
 import logging
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -19,7 +19,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.engines.compiled import Run
 from lidar2pano.engines.signatures import SIGNATURES, Shape
 from lidar2pano.errors import hidden
 from lidar2pano.hardware import has_bfloat16
@@ -29,6 +28,7 @@ PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DTYPES = {"f32": torch.float32, "bf16": torch.bfloat16}  # of what compiled models give
 IMAGE = 4  # dimensions of a batch of images
 TELEMETRY = "openvino_telemetry"
+Run = Callable[[tuple[Tensor, ...]], tuple[Tensor, ...]]
 
 
 @contextmanager
@@ -176,6 +176,9 @@ class OpenVino:
             return outputs
 
         return run
+
+
+Engine = OnnxRuntime | OpenVino
 
 
 @cache
