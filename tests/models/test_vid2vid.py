@@ -275,12 +275,12 @@ def test_training_begins_as_published() -> None:
 @pytest.mark.parametrize(("rows", "columns", "wanted"), [(36, 64, "40 x 64"), (32, 66, "32 x 72"), (8, 64, "16 x 64")])
 def test_a_raster_that_does_not_fit_is_named(rows: int, columns: int, wanted: str) -> None:
     with pytest.raises(
-        InputError, match=rf"image of {rows} x {columns} pixels .* multiples of 8 .* pad it to {wanted}"
+        InputError, match=rf"image of {rows} x {columns} pixels: .* must divide by 8; pad it to {wanted}"
     ):
         generator()(*inputs(1, rows, columns))
     single = build("vid2vid-single", classes=5, width=8, downsamplings=2, blocks=1, enhancers=1)
     with pytest.raises(
-        InputError, match=rf"image of {rows} x {columns} pixels .* multiples of 8 .* pad it to {wanted}"
+        InputError, match=rf"image of {rows} x {columns} pixels: .* must divide by 8; pad it to {wanted}"
     ):
         single(inputs(1, rows, columns)[0][:, 0])
 

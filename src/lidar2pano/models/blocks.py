@@ -20,11 +20,18 @@ from lidar2pano.geometry.rasters import pad_azimuth
 LARGE = 1 << 22  # numbers in an image from which on a copy of it takes longer than a second convolution at the seam
 
 
-def check_size(image: Tensor, divisor: int, noun: str) -> None:
-    """Raise InputError, with a noun for the image (..., H, W), unless its rows and columns divide by a number."""
+def check_size(image: Tensor, divisor: int, noun: str, least: int = 1) -> None:
+    """Raise InputError, with a noun for the image (..., H, W), unless its rows and columns divide by a number.
+
+    least  how often, at the least.
+    """
     rows, columns = image.shape[-2:]
-    if rows % divisor or columns % divisor:
-        raise InputError(f"{noun} of {rows} x {columns} pixels: rows, columns must divide by {divisor}")
+    fitting = [max(least, -(-pixels // divisor)) * divisor for pixels in (rows, columns)]
+    if [rows, columns] != fitting:
+        raise InputError(
+            f"{noun} of {rows} x {columns} pixels: rows, columns must divide by {divisor}; pad it to {fitting[0]} x"
+            f" {fitting[1]}"
+        )
 
 
 class CircularConv(nn.Conv2d):
@@ -85,17 +92,16 @@ class CircularResidual(nn.Module):
 
 
 def fold_norms(network: nn.Module) -> nn.Module:
-    """Fold batch norms that follow a convolution into it, and drop dropout, in place; for evaluation mode."""
+    """Fold batch norms into the convolutions right before them, and drop dropout, in place; for evaluation mode."""
     for block in list(network.modules()):
+        last, conv = "", None
         for name, part in list(block.named_children()):
             if isinstance(part, nn.Dropout2d):
                 setattr(block, name, nn.Identity())
-        if not isinstance(block, nn.Sequential):
-            continue
-        for place in range(len(block) - 1):
-            conv, norm = block[place], block[place + 1]
-            if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                block[place], block[place + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
+            if isinstance(conv, nn.Conv2d) and isinstance(part, nn.BatchNorm2d):
+                setattr(block, last, fuse_conv_bn_eval(conv, part))
+                setattr(block, name, nn.Identity())
+            last, conv = name, part
     return network
 
 

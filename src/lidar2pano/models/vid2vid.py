@@ -30,11 +30,11 @@ from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import warp
+from lidar2pano.models.blocks import check_size
 from lidar2pano.models.vid2vid_layers import (
     Closable,
     Norm,
     batch_norms,
-    check_size,
     doublings,
     entry,
     halved,
@@ -139,7 +139,7 @@ class Vid2Vid(Closable, nn.Module):
 
     def pyramid(self, images: Tensor) -> list[Tensor]:
         """Images (B, T, C, H, W) on the rasters of all scales, coarse to fine; InputError unless they fit."""
-        check_size(images.shape[-2], images.shape[-1], self.stride)
+        check_size(images, self.stride, "an image", least=2)
         levels = [images]
         for _ in self._scales()[1:]:
             coarser = halved(levels[0].flatten(0, 1), self.closed)
@@ -300,7 +300,7 @@ class Vid2VidSingle(Closable, nn.Module):
 
         H and W must be multiples of `stride` and at least twice as large, otherwise InputError.
         """
-        check_size(labels.shape[-2], labels.shape[-1], self.stride)
+        check_size(labels, self.stride, "an image", least=2)
         levels = [labels]
         for _ in range(self.enhancers):
             levels.append(halved(levels[-1], self.closed))

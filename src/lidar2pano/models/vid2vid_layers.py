@@ -12,7 +12,6 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, batch_norm, conv2d, conv_transpose2d, instance_norm, pad
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.models.blocks import InstanceNorm
 
@@ -165,19 +164,6 @@ def close(network: nn.Module, whether: bool) -> None:
     for part in network.modules():
         if isinstance(part, Closable):
             part.closed = whether
-
-
-def check_size(rows: int, columns: int, stride: int) -> None:
-    """Raise InputError unless the raster fits a network whose coarsest pixel is `stride` pixels wide."""
-    if rows % stride or columns % stride or min(rows, columns) < 2 * stride:
-        raise InputError(
-            f"an image of {rows} x {columns} pixels does not fit the network: rows and columns must be multiples of "
-            f"{stride} and at least {2 * stride}; pad it to {_fitting(rows, stride)} x {_fitting(columns, stride)}"
-        )
-
-
-def _fitting(pixels: int, stride: int) -> int:
-    return max(2, -(-pixels // stride)) * stride
 
 
 @torch.no_grad()
