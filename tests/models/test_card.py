@@ -290,18 +290,6 @@ def test_a_network_is_built_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert all(torch.equal(tensor, before[key]) for key, tensor in network.state_dict().items())
 
 
-@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64])
-def test_what_is_finite(dtype: torch.dtype) -> None:
-    largest = torch.full((9,), torch.finfo(dtype).max, dtype=dtype)  # whose sum is infinite
-    assert card._is_finite(largest) and card._is_finite(torch.ones(3, dtype=torch.int64))
-    for bad in (torch.inf, -torch.inf, torch.nan):
-        values = torch.ones(9, dtype=dtype)
-        values[4] = bad
-        assert not card._is_finite(values)
-        values[5] = -bad  # the two do not cancel out
-        assert not card._is_finite(values)
-
-
 def test_scores_beside_a_file_are_those_of_its_tensors(tmp_path: Path) -> None:
     _, written = _written(tmp_path / "weights.safetensors")
     _, other = _written(tmp_path / "other.safetensors", score={})
