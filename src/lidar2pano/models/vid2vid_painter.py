@@ -141,18 +141,18 @@ class Vid2VidPainter(nn.Module):
         ids   (H, W) integer ids of COMMON15, any size; every frame of a stream of the same.
         Returns the next frame's past, and the image (3, H, W) float32 in [-1, 1].
         """
-        framed = _framed(ids.to(torch.uint8), self.stride, self.closed)
+        framed, rows, columns = _framed(ids.to(torch.uint8), self.stride, self.closed)
         keep = self.generator.frames - 1
         if past is None:
-            past = Past(ids=framed.ids.expand(keep, -1, -1), levels=[])
-        if past.ids.shape[1:] != framed.ids.shape[1:]:
+            past = Past(ids=framed.expand(keep, -1, -1), levels=[])
+        if past.ids.shape[1:] != framed.shape[1:]:
             raise ValueError(f"a stream's frames have one size, not {tuple(ids.shape)} after another")
-        label_maps = torch.cat([past.ids, framed.ids])
+        label_maps = torch.cat([past.ids, framed])
         if self.single is not None and (not past.levels or past.levels[-1].shape[1] < keep):
-            levels = self._begun(self.single, past.levels, framed.ids)
+            levels = self._begun(self.single, past.levels, framed)
         else:
             levels = self._gone_on(past.levels, label_maps)
-        image = levels[-1][0, -1, :, framed.rows, framed.columns].clone()  # the caller's own: levels are remembered
+        image = levels[-1][0, -1, :, rows, columns].clone()  # the caller's own: levels are remembered
         return Past(ids=label_maps[1:], levels=levels), image
 
     def _begun(self, single: Vid2VidSingle, levels: list[Tensor], ids: Tensor) -> list[Tensor]:
@@ -176,19 +176,11 @@ def _shrunk(x: Tensor, factor: int) -> Tensor:
     return x if factor == 1 else avg_pool2d(x, factor)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Framed:
-    """A label map (1, H', W') on a raster for the networks, and the place of the requested map in it."""
-
-    ids: Tensor
-    rows: slice
-    columns: slice
-
-
-def _framed(ids: Tensor, stride: int, closed: bool) -> _Framed:
+def _framed(ids: Tensor, stride: int, closed: bool) -> tuple[Tensor, slice, slice]:
     """Continue a label map (H, W) to a divisible raster: its last row and column go on; a panorama overlaps itself.
 
     If a panorama's columns divide by the stride, nothing is added, and a turn by the stride turns the answer.
+    Returns the map (1, H', W') on the raster, and the rows and columns of the requested one in it.
     """
     rows, columns = ids.shape
     rows_below = max(-rows % stride, 2 * stride - rows)
@@ -201,4 +193,4 @@ def _framed(ids: Tensor, stride: int, closed: bool) -> _Framed:
         columns_beyond = 0
     if rows_below or columns_beyond:
         ids = pad(ids[None].float(), (0, columns_beyond, 0, rows_below), mode="replicate")[0].to(torch.uint8)
-    return _Framed(ids=ids[None], rows=slice(rows), columns=slice(left, left + columns))
+    return ids[None], slice(rows), slice(left, left + columns)
