@@ -111,21 +111,8 @@ SEMANTIC_KITTI = LabelSet(
     },
 )  # fmt: skip
 
-# Cityscapes' 19 trainIds and colours, Cordts et al. 2016 (cityscapesscripts/helpers/labels.py).
-CITYSCAPES = LabelSet(
-    name="cityscapes",
-    classes=(
-        "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation",
-        "terrain", "sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle",
-    ),
-    colours=(
-        (128, 64, 128), (244, 35, 232), (70, 70, 70), (102, 102, 156), (190, 153, 153), (153, 153, 153),
-        (250, 170, 30), (220, 220, 0), (107, 142, 35), (152, 251, 152), (70, 130, 180), (220, 20, 60), (255, 0, 0),
-        (0, 0, 142), (0, 0, 70), (0, 60, 100), (0, 80, 100), (0, 0, 230), (119, 11, 32),
-    ),
-)  # fmt: skip
-
-# Cityscapes' label ids (same file), read by published vid2vid weights; the last one is -1 there.
+# Cityscapes' label ids and colours, Cordts et al. 2016 (cityscapesscripts/helpers/labels.py), read by published vid2vid
+# weights; the last one is -1 there.
 CITYSCAPES_IDS = LabelSet(
     name="cityscapes-ids",
     classes=(
@@ -142,6 +129,17 @@ CITYSCAPES_IDS = LabelSet(
         (0, 0, 70), (0, 60, 100), (0, 0, 90), (0, 0, 110), (0, 80, 100), (0, 0, 230), (119, 11, 32), (0, 0, 142),
     ),
 )  # fmt: skip
+
+# Cityscapes' 19 trainIds, same file.
+_TRAIN = (
+    "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "terrain",
+    "sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle",
+)  # fmt: skip
+CITYSCAPES = LabelSet(
+    name="cityscapes",
+    classes=_TRAIN,
+    colours=tuple(CITYSCAPES_IDS.colours[CITYSCAPES_IDS.id_of(name)] for name in _TRAIN),
+)
 
 # The 14 classes of both data sets, in the order of TITAN-Net's published weights (its palette).
 COMMON14 = LabelSet(
