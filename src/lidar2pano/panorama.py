@@ -295,15 +295,10 @@ class Panorama:
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments", "valid"} & set(what) else None
         stem = stem or self.name
         rasters = self._rasters() | self._echo_rasters(scan, set(what).intersection(ECHO_OUTPUTS))
-        rasters = {name: values for name, values in rasters.items() if name in what}
         writers = list(self._raster_writers(stem, rasters, image_format, projection))
         writers += self._other_writers(stem, camera, image_format)
-        return [
-            write_whole(Path(out) / name, write)
-            for wanted in (*OUTPUTS, *EXTRA_OUTPUTS)
-            for output, name, write in writers
-            if output == wanted and output in what
-        ]
+        writers.sort(key=lambda writer: (*OUTPUTS, *EXTRA_OUTPUTS).index(writer[0]))
+        return [write_whole(Path(out) / name, write) for output, name, write in writers if output in what]
 
     def _rasters(self) -> dict[str, np.ndarray]:
         """Return the images of the panorama by output: (h, w, 3) uint8 colours, float32 metres, else ids uint8."""

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,17 +37,6 @@ STRIDE = 32  # of the coarsest features of the backbones
 WEIGHTS = ("*.safetensors", "*.bin")
 SETTINGS = ("*.json", "*.txt")
 TASK = "the task is semantic"  # input of OneFormer
-
-
-class CameraTeacher(Protocol):
-    """A network for labels of camera images."""
-
-    def probabilities(self, image: np.ndarray) -> Tensor:
-        """Probabilities (19, h, w) float32 of the Cityscapes train ids, summing to 1, of a picture.
-
-        image  (h, w, 3) uint8 RGB.
-        """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +65,7 @@ class ImageNormalisation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraSegmenter:
-    """A camera network with the scales to look at and the normalisation it was trained on; a CameraTeacher.
+    """A camera network with the scales to look at and the normalisation it was trained on.
 
     network    SdNet: (1, 3, h, w) and the scales -> (1, 19, h, w) logits.
     normalise  of its pictures.
@@ -123,7 +112,7 @@ class CameraSegmenter:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MaskSegmenter:
-    """A network of queries as a CameraTeacher.
+    """A network of queries.
 
     network    of `transformers`: pixel_values (1, 3, H, W) -> class logits (1, Q, K + 1), mask logits (1, Q, H', W').
     classes    (19,) int64: the network's class for every Cityscapes train id.
@@ -163,6 +152,9 @@ class MaskSegmenter:
         if (rows, columns) == size:
             return probabilities
         return interpolate(probabilities[None], size, mode="bilinear", align_corners=False)[0]
+
+
+CameraTeacher = CameraSegmenter | MaskSegmenter
 
 
 def load_teacher(
@@ -275,11 +267,10 @@ def _normalisation(folder: Path) -> ImageNormalisation:
         settings = _json(path).get("image_processor", {})
     try:
         mean, deviation = (tuple(float(v) for v in settings[name]) for name in ("image_mean", "image_std"))
+        return ImageNormalisation(mean=mean, deviation=deviation)
     except (KeyError, TypeError, ValueError):
-        mean, deviation = (), ()
-    if len(mean) != 3 or len(deviation) != 3 or min(deviation) <= 0:
-        raise InputError(f"{path}: has no image_mean and image_std of three channels; fetch the model again")
-    return ImageNormalisation(mean=mean, deviation=deviation)
+        fault = "has no image_mean and image_std of three channels; fetch the model again"
+        raise InputError(f"{path}: {fault}") from None
 
 
 def _task(transformers: Any, folder: Path, length: int) -> Tensor:  # noqa: ANN401

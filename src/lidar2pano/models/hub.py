@@ -22,10 +22,7 @@ LICENCES = (
     "mit",
     "bsd-3-clause",
     "cc0-1.0",
-    "cc-by-4.0",
-    "cc-by-sa-4.0",
-    "cc-by-nc-4.0",
-    "cc-by-nc-sa-4.0",
+    *(f"cc-by-{kind}4.0" for kind in ("", "sa-", "nc-", "nc-sa-")),
 )
 """Licences by the hub's names, which are SPDX's in small letters; others are "other", with their own words."""
 SECTORS = ("camera", "panorama", "point")  # first words of scores

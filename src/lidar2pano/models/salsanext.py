@@ -61,10 +61,7 @@ def _act() -> nn.Module:
 
 
 class ContextBlock(nn.Module):
-    """A 1x1 shortcut plus two 3x3 convolutions over it, the second dilated.
-
-    x  (B, inputs, H, W) -> (B, outputs, H, W).
-    """
+    """A 1x1 shortcut plus two 3x3 convolutions over it, the second dilated."""
 
     def __init__(self, inputs: int, outputs: int, norm: Norm = nn.BatchNorm2d) -> None:
         super().__init__()
@@ -127,10 +124,7 @@ class DownBlock(ResBlock):
 
 
 class UpBlock(nn.Module):
-    """Pixel shuffle by two, the skip beside it, then three stacked convolutions joined by a 1x1 convolution.
-
-    x  (B, inputs, H/2, W/2), skip (B, skip, H, W) -> (B, outputs, H, W).
-    """
+    """Pixel shuffle by two, the skip beside it, then three stacked convolutions joined by a 1x1 convolution."""
 
     def __init__(self, inputs: int, skip: int, outputs: int, dropout: float = 0.0, norm: Norm = nn.BatchNorm2d) -> None:
         super().__init__()

@@ -42,7 +42,6 @@ from lidar2pano.views import VIEWS, View
 FEW = 0.01  # largest share of an image's pixels on the other side
 MOST_APART_S = 0.1  # half a period of the slowest LiDARs (VLP-16: 5 to 20 turns a second)
 EVERY_PX = 4  # one of so many rows and columns of an image is looked at
-EVERY_POINT = 16  # of a scan: one of so many is nearly always in sight of a camera, if any is
 BEAMS = replace(VIEWS["hdl64e"], columns=1024)  # as coarse as a turn of the slower LiDARs: neighbours are neighbours
 FEWEST_EDGES = 30  # points whose mean is taken to be normal
 # By which a turned image must fit better. With independent points, chance alone reaches it in one of 700 cases;
@@ -90,7 +89,7 @@ def _fault(camera: Camera, points: Tensor) -> str:
             return f"its image is {side}; clean or mend it"
     if camera.time_s is not None and abs(camera.time_s) > MOST_APART_S:
         return f"its image was taken {abs(camera.time_s):.3g} s {'after' if camera.time_s > 0 else 'before'} the scan"
-    if not any(len(_sight(camera, part).surface) for part in (points[:, ::EVERY_POINT], points)):
+    if not len(_sight(camera, points).surface):
         return "its calibration looks away from all points of the scan; check its pose"
     return ""
 
