@@ -36,8 +36,6 @@ class UnfitError(Exception):
 class CompiledForward:
     """Compute `forward` of a network by an engine, with the network's inputs.
 
-    Class scores are returned in the engine's arithmetic, all else in float32.
-
     network   as torch runs it;  model: its name in SIGNATURES;  weights: their checksum, "" to keep nothing on disk.
     compiles  whether a network is compiled now; else torch computes shapes that were not compiled before: that takes
               half a minute, and one scan does not earn it back.
@@ -63,14 +61,9 @@ class CompiledForward:
                 self._runs.popitem(last=False)
             run = self._runs[shapes]
             if run is not None:
-                return self._as_forward(run(inputs))
+                outputs = run(inputs)
+                return outputs[0] if len(outputs) == 1 else outputs
         return self.network(*inputs)
-
-    def _as_forward(self, outputs: tuple[Tensor, ...]) -> Tensor | tuple[Tensor, ...]:
-        signature = SIGNATURES[self.model]
-        named = zip(signature.outputs, outputs, strict=True)
-        outputs = tuple(tensor if name in signature.classes else tensor.float() for name, tensor in named)
-        return outputs[0] if len(outputs) == 1 else outputs
 
     def _run_for(self, inputs: tuple[Tensor, ...], shapes: tuple[Shape, ...]) -> Run | None:
         if not self.compiles and disk_cache.is_empty():  # no engine is asked: importing it takes a fifth of a second
