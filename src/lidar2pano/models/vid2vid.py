@@ -33,15 +33,16 @@ from lidar2pano.geometry.rasters import warp
 from lidar2pano.models.blocks import check_size
 from lidar2pano.models.vid2vid_layers import (
     Closable,
+    Doubling,
+    Halving,
     Norm,
     batch_norms,
-    doublings,
     entry,
     halved,
-    halvings,
     head,
     instance_norms,
     residuals,
+    resizings,
     start_as_published,
 )
 
@@ -202,19 +203,19 @@ class Coarsest(Heads):
 
         def encoder(channels: int) -> nn.Sequential:
             early = residuals(blocks - late, down[-1], norm)
-            return nn.Sequential(*entry(channels, width, norm), *halvings(down, norm), *early)
+            return nn.Sequential(*entry(channels, width, norm), *resizings(Halving, down, norm), *early)
 
         self.model_down_seg, self.model_down_img = encoder(inputs[0]), encoder(inputs[1])
         self.model_res_img = nn.Sequential(*residuals(late, down[-1], norm))
-        self.model_up_img = nn.Sequential(*doublings(down[::-1], norm))
+        self.model_up_img = nn.Sequential(*resizings(Doubling, down[::-1], norm))
         self.model_res_flow = nn.Sequential(*residuals(late, down[-1], norm))
-        self.model_up_flow = nn.Sequential(*doublings(down[::-1], norm))
+        self.model_up_flow = nn.Sequential(*resizings(Doubling, down[::-1], norm))
         self.apart = bool(foreground)
         if self.apart:
             thin = [foreground << depth for depth in range(downsamplings + 1)]
-            self.indv_down = nn.Sequential(*entry(inputs[0], foreground, norm), *halvings(thin, norm))
+            self.indv_down = nn.Sequential(*entry(inputs[0], foreground, norm), *resizings(Halving, thin, norm))
             self.indv_res = nn.Sequential(*residuals(blocks, thin[-1], norm))
-            self.indv_up = nn.Sequential(*doublings(thin[::-1], norm))
+            self.indv_up = nn.Sequential(*resizings(Doubling, thin[::-1], norm))
 
     def forward(self, labels: Tensor, images: Tensor, coarser: None) -> Features:  # there is none coarser
         """(B, labels, H, W) and (B, images, H, W) -> features (B, width, H, W)."""
@@ -235,10 +236,10 @@ class Finer(Heads):
         super().__init__(width, foreground, flow_px)
 
         def down(channels: int, width: int) -> nn.Sequential:
-            return nn.Sequential(*entry(channels, width, norm), *halvings([width, 2 * width], norm))
+            return nn.Sequential(*entry(channels, width, norm), *resizings(Halving, [width, 2 * width], norm))
 
         def up(width: int) -> nn.Sequential:
-            return nn.Sequential(*residuals(blocks, 2 * width, norm), *doublings([2 * width, width], norm))
+            return nn.Sequential(*residuals(blocks, 2 * width, norm), *resizings(Doubling, [2 * width, width], norm))
 
         self.model_down_seg, self.model_down_img = down(inputs[0], width), down(inputs[1], width)
         self.model_up_img, self.model_up_flow = up(width), up(width)
@@ -281,15 +282,15 @@ class Vid2VidSingle(Closable, nn.Module):
         super().__init__()
         norm = instance_norms(batch_statistics)
         down = [min(SINGLE_WIDEST, width << depth) for depth in range(enhancers, enhancers + downsamplings + 1)]
-        layers = [*entry(classes, down[0], norm), *halvings(down, norm), *residuals(blocks, down[-1], norm)]
-        layers += doublings(down[::-1], norm)
+        layers = [*entry(classes, down[0], norm), *resizings(Halving, down, norm), *residuals(blocks, down[-1], norm)]
+        layers += resizings(Doubling, down[::-1], norm)
         self.model = nn.Sequential(*layers, *([] if enhancers else head(width, 3, nn.Tanh())))
         for number in range(1, enhancers + 1):
             own = width << (enhancers - number)
             self.add_module(
-                f"model{number}_1", nn.Sequential(*entry(classes, own, norm), *halvings([own, 2 * own], norm))
+                f"model{number}_1", nn.Sequential(*entry(classes, own, norm), *resizings(Halving, [own, 2 * own], norm))
             )
-            layers = [*residuals(local_blocks, 2 * own, norm), *doublings([2 * own, own], norm)]
+            layers = [*residuals(local_blocks, 2 * own, norm), *resizings(Doubling, [2 * own, own], norm)]
             layers += head(width, 3, nn.Tanh()) if number == enhancers else []
             self.add_module(f"model{number}_2", nn.Sequential(*layers))
         self.classes, self.enhancers, self.stride = classes, enhancers, 2 ** (downsamplings + enhancers)

@@ -123,17 +123,8 @@ def entry(inputs: int, width: int, norm: Norm) -> list[nn.Module]:
     return [Padding(3), nn.Conv2d(inputs, width, 7), norm(width), nn.ReLU(inplace=True)]
 
 
-def halvings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
-    """Layers to halve the image from each of `widths` to the next."""
-    return _resizing(Halving, widths, norm)
-
-
-def doublings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
-    """Layers to double the image from each of `widths` to the next."""
-    return _resizing(Doubling, widths, norm)
-
-
-def _resizing(layer: Callable[[int, int], nn.Module], widths: Sequence[int], norm: Norm) -> list[nn.Module]:
+def resizings(layer: type[Halving | Doubling], widths: Sequence[int], norm: Norm) -> list[nn.Module]:
+    """Layers to halve or to double the image from each of `widths` to the next."""
     pairs = zip(widths, widths[1:], strict=False)
     return [part for pair in pairs for part in (layer(*pair), norm(pair[1]), nn.ReLU(inplace=True))]
 
