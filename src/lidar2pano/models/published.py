@@ -397,30 +397,24 @@ def read_table(path: Path) -> dict[str, object]:
 
     Raises InputError for an absent, damaged or hostile file, or one without such a table; nothing in it is executed.
     """
-    table = _content(path)
-    table = table.get("state_dict", table)
+    if not path.is_file():
+        raise InputError(f"no checkpoint file {path}; check the path")
+    try:
+        with torch.serialization.safe_globals(_BYSTANDERS):
+            table = load_torch(path)
+    except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
+        raise InputError(
+            f"{path} cannot be read as weights: it is cut off, no torch checkpoint, or holds more than weights; "
+            "fetch it again from its authors"
+        ) from None
+    if isinstance(table, Mapping):
+        table = table.get("state_dict", table)
     if not isinstance(table, Mapping) or not all(isinstance(key, str) for key in table):
         raise InputError(f"{path} has no table of weights; give the checkpoint file that the authors published")
     bare = {key.removeprefix("module."): value for key, value in table.items()}
     if len(bare) < len(table):
         raise InputError(f"{path} has the same weights twice, with and without 'module.'; give the authors' file")
     return bare
-
-
-def _content(path: Path) -> Mapping:
-    if not path.is_file():
-        raise InputError(f"no checkpoint file {path}; check the path")
-    try:
-        with torch.serialization.safe_globals(_BYSTANDERS):
-            content = load_torch(path)
-    except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
-        raise InputError(
-            f"{path} cannot be read as weights: it is cut off, no torch checkpoint, or holds more than weights; "
-            "fetch it again from its authors"
-        ) from None
-    if not isinstance(content, Mapping):
-        raise InputError(f"{path} has no table of weights; give the checkpoint file that the authors published")
-    return content
 
 
 def scale_files(folder: Path) -> list[Path]:
