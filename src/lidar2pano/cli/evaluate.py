@@ -203,7 +203,7 @@ def score_place(
 
 
 def load_reaching(weights: Sequence[str], device: str, engine: str, elevation: str) -> Pipeline:
-    """Load the only family's pipeline, of taller panoramas where an elevation is named."""
+    """Load the only family's pipeline, of taller panoramas if an elevation is named."""
     from lidar2pano.pipeline import load
 
     if len(weights) != 1:

@@ -159,7 +159,7 @@ def _size(path: Path, entry: Entry) -> tuple[int, int] | None:
 
 
 def camera_matrix(path: object, entry: Entry) -> tuple[np.ndarray, list[float]]:
-    """Return K (3, 3) float64, and Kalibr's xi where it comes before it; InputError, with `path`, if there is none."""
+    """Return K (3, 3) float64, and Kalibr's xi if it comes before it; InputError, with `path`, if there is none."""
     name = _first(entry, MATRICES)
     value = entry.get(name)
     if isinstance(value, dict) and "fx" in value:  # PandaSet

@@ -76,7 +76,7 @@ def _turned(x: Tensor) -> Tensor:
 def compare(compiled: bytes, part: Exportable, inputs: tuple[Tensor, ...]) -> float:
     """Return the greatest difference between a graph and torch in float32, for a batch and for its first alone.
 
-    Raises InputError where it is above TOLERANCE.
+    Raises InputError if it is above TOLERANCE.
     """
     opened, signature = session(compiled, keeps=False), SIGNATURES[part.model]
     greatest = 0.0

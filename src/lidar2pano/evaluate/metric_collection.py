@@ -312,7 +312,7 @@ class MetricCollection:
     def warping(
         self, sector: str, image: np.ndarray | None, previous: np.ndarray | None, flow: Flow | None, name: str
     ) -> None:
-        """Count an image against the previous one, warped by the flow; nothing where one of them is missing."""
+        """Count an image against the previous one, warped by the flow; nothing if one of them is missing."""
         if image is not None and previous is not None and flow is not None:
             metric = self._metric(sector, "warping", partial(WarpingError, circular=sector == "panorama"))
             metric.update(previous, image, flow.shift, name, valid=flow.known)

@@ -138,7 +138,7 @@ class LatentTexture(LatentPainting):
     def _painted_anew(self, batch: LatentSample, noise: Tensor, clues: Clues, same: Tensor) -> Tensor:
         """Return pictures as of a sensor that has turned by some pixels and measures half of the points.
 
-        The noise turns with the sensor, as it does in a drive, where `same` (B,) is true; elsewhere it is new.
+        The noise of samples that are the `same` (B,) turns with the sensor, as in a drive; all other noise is new.
         """
         turn = int(torch.randint(STRIDE, ()))
         conditions = batch.conditions.roll(turn, -1)
