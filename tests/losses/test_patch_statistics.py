@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
 from lidar2pano.losses.painting import FIRST, MOST_STRETCH, Patches, PatchStatistics, transport
-from lidar2pano.metrics.frechet import Normal, frechet_distance
+from lidar2pano.metrics.frechet import frechet_distance, normal_of
 
 SIZE = 4
 
@@ -32,10 +31,8 @@ def features_of(values: torch.Tensor) -> torch.Tensor:
 
 
 def distance(painted: torch.Tensor, real: torch.Tensor) -> float:
-    normal = [
-        Normal(x.mean(0).numpy(), np.cov(x.numpy().T), len(x)) for x in (painted.detach().double(), real.double())
-    ]
-    return frechet_distance(*normal)
+    first, second = (normal_of(patches.detach().numpy()) for patches in (painted, real))
+    return frechet_distance(first, second)
 
 
 def patches_of(values: torch.Tensor, group: int = 0, *, groups: int = 2, counted: int | None = None) -> Patches:
