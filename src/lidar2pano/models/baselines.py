@@ -77,9 +77,7 @@ class Pix2Pix(nn.Module):
             share = dropout if inner_level is not None and outer == width * MOST_WIDTHS else 0.0
             inner_level = _Level(outer, inner, inner_level, norms, bias, share)
         assert inner_level is not None
-        layers = [nn.Conv2d(inputs, widths[0], 4, stride=2, padding=1, bias=bias), inner_level, nn.ReLU(inplace=True)]
-        layers += [nn.ConvTranspose2d(2 * widths[0], outputs, 4, stride=2, padding=1), nn.Tanh()]
-        self.model = nn.ModuleDict({"model": nn.Sequential(*layers)})  # as published
+        self.model = _Outermost(inputs, widths[0], inner_level, outputs, bias)
         start_as_published(self)
 
     def forward(self, *images: Tensor) -> Tensor:
@@ -89,10 +87,10 @@ class Pix2Pix(nn.Module):
         down, across = -rows % self.stride, -columns % self.stride
         if self.size is None:
             x = pad(x, (0, across, 0, down), mode="replicate") if down or across else x
-            return self.model["model"](x)[..., :rows, :columns]
+            return self.model(x)[..., :rows, :columns]
         if x.shape[-2:] != (rows + down, columns + across):
             x = interpolate(x, size=(rows + down, columns + across), mode="area")
-        x = self.model["model"](x)
+        x = self.model(x)
         return interpolate(x, size=self.size, mode="bilinear", align_corners=False) if down or across else x
 
 
@@ -143,6 +141,23 @@ class _Level(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return torch.cat([x, self.model(x)], 1)
+
+
+class _Outermost(nn.Module):
+    """The first level, without shortcut: (B, inputs, H, W) -> (B, outputs, H, W)."""
+
+    def __init__(self, inputs: int, inner: int, inner_level: nn.Module, outputs: int, bias: bool) -> None:
+        super().__init__()
+        self.model = nn.Sequential(
+            nn.Conv2d(inputs, inner, 4, stride=2, padding=1, bias=bias),
+            inner_level,
+            nn.ReLU(inplace=True),
+            nn.ConvTranspose2d(2 * inner, outputs, 4, stride=2, padding=1),
+            nn.Tanh(),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.model(x)
 
 
 def _norm(name: str, batch_statistics: bool) -> Norm:
