@@ -372,7 +372,7 @@ def test_engines_and_formats(refused, monkeypatch, options, says):
 
 
 def test_bugs_are_not_hidden(here, monkeypatch, capsys):
-    def broken(paths, options):
+    def broken(paths, options, places):
         raise RuntimeError("a bug")
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", broken)
@@ -384,7 +384,7 @@ def test_bugs_are_not_hidden(here, monkeypatch, capsys):
 
 @pytest.mark.parametrize(("words", "said"), [((), "interrupted"), (("paused at step 3",), "paused at step 3")])
 def test_ctrl_c_says_so(refused, monkeypatch, words, said):
-    def interrupted(paths, options):
+    def interrupted(paths, options, places):
         raise KeyboardInterrupt(*words)
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", interrupted)
@@ -399,7 +399,7 @@ def test_a_closed_pipe_is_quiet(here):
 
 
 def test_a_loss_that_is_not_finite_is_no_mistake_of_options(refused, monkeypatch):
-    def diverged(paths, options):
+    def diverged(paths, options, places):
         raise FloatingPointError("loss is not finite near step 3")
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", diverged)

@@ -56,7 +56,7 @@ class LatentTextureOptions(LatentPaintingOptions):
     flow: float = 1.0
     perceptual: float = 2.0
     pooled: float = 6.0
-    held: float = 24.0
+    held: float = 6.0
     statistics: float = 4.0
     adversarial: float = 0.6
     augment_probability: float = 0.4
