@@ -537,8 +537,8 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         r"000000.json: cam_from_lidar: holds no rotation",
     ),
     "a mount too small": (
-        lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"]["cam_from_lidar"][0].pop()),
-        r"cam_from_lidar: holds no numbers",
+        lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"]["cam_from_lidar"].pop()),
+        r"cam_from_lidar: must hold 16 numbers \(4x4\), it has 12",
     ),
     "no focal length": (
         lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"]["K"].pop("fx")),

@@ -205,14 +205,14 @@ def _pose(path: Path, entry: Entry) -> np.ndarray | None:
     name = _first(entry, (*POSES, *INVERSE_POSES))
     if not name:
         return None
-    T = read_motion(path, entry, name)
+    T = read_motion(path, entry, name, (12, 16))
     return np.linalg.inv(T) if name in INVERSE_POSES else T
 
 
-def read_motion(path: Path, entry: Any, name: str) -> np.ndarray:  # noqa: ANN401 of a JSON file
-    """Return the motion (4, 4) float64 under a name, of 12 or 16 numbers; InputError if it is missing or none."""
+def read_motion(path: Path, entry: Any, name: str, sizes: tuple[int, ...] = (16,)) -> np.ndarray:  # noqa: ANN401
+    """Return the motion (4, 4) float64 under a name, of so many numbers; InputError if it is missing or none."""
     numbers = _numbers(path, name, entry.get(name) if isinstance(entry, dict) else None)
-    if numbers.size not in (12, 16):
+    if numbers.size not in sizes:
         raise InputError(f"{path}: {name}: must hold 16 numbers (4x4), it has {numbers.size}")
     T = np.vstack([numbers[:12].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
     if not is_rotation(T[:3, :3]):

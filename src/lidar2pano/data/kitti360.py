@@ -47,7 +47,7 @@ SCANS = "data_3d_raw"
 CAMERA = "image_00"
 FISHEYES = ("image_02", "image_03")  # to the left and to the right
 REACH_DEG = 185 / 2  # of the fisheyes' axes: "roughly 185 degrees", says issue 39 of autonomousvision/kitti360Scripts
-LENS = ("xi", "gamma1", "gamma2", "u0", "v0", "k1", "k2", "p1", "p2", "image_width", "image_height")
+LENS = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0", "image_width", "image_height")
 LARGEST_COEFFICIENT = 100.0  # of a lens; the data set's are below 5
 LISTS = "data_2d_semantics/train/2013_05_28_drive_{}_frames.txt"  # the data set's own lists of labelled images
 FILES = ("perspective.txt", "calib_cam_to_velo.txt", "calib_cam_to_pose.txt")
@@ -258,12 +258,18 @@ def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
     try:
         values = [float(settings[name]) for name in LENS]
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise InputError(f"{path}: {', '.join(LENS)} must be numbers; take the file from the data set") from None
-    camera = {"K": values[:5], "D": values[5:9], "width": values[9], "height": values[10]}
+        values = [np.nan]
+    if not np.isfinite(values).all():
+        raise InputError(f"{path}: {', '.join(LENS)} must be finite numbers; take the file from the data set")
+    if min(values[9:]) < 1 or not all(value.is_integer() for value in values[9:]):
+        raise InputError(
+            f"{path}: image_width and image_height are no size of an image; take the file from the data set"
+        )
+    if values[0] < 0 or max(map(abs, values[:5])) > LARGEST_COEFFICIENT:
+        raise InputError(f"{path}: xi, k1, k2, p1 and p2 are no lens's; take the file from the data set")
+    camera = {"K": [values[0], *values[5:9]], "D": values[1:5], "width": values[9], "height": values[10]}
     lens = calibration_of(path, camera, path, None, T_camera_lidar)
     assert isinstance(lens, LensCalibration), "five numbers of K begin with xi"
-    if max(map(abs, lens.distortion)) > LARGEST_COEFFICIENT:
-        raise InputError(f"{path}: xi, k1, k2, p1 and p2 are no lens's; take the file from the data set")
     return replace(lens, reach_deg=REACH_DEG)
 
 

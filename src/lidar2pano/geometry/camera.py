@@ -8,6 +8,7 @@ where its direction lies in the old one. Parallax is none where the panorama's o
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -96,7 +97,7 @@ def _camera_in_panorama(view: View, KR: bytes, size: tuple[int, int]) -> Lookup:
 
 def panorama_in_camera(view: View, calibration: Calibration | LensCalibration) -> Lookup:
     """Look-up that resamples a panorama (H, W) into the camera's image: (height, width), valid where it reaches."""
-    return _in_panorama(view, camera_rays(calibration))
+    return _in_panorama(view, camera_rays(calibration), torch.lt)
 
 
 def camera_rays(calibration: Calibration | LensCalibration) -> Tensor:
@@ -114,11 +115,11 @@ def camera_rays(calibration: Calibration | LensCalibration) -> Tensor:
     return torch.stack([u, v, torch.ones_like(u)], dim=-1) @ torch.from_numpy(calibration.K @ R).inverse().T
 
 
-def _in_panorama(view: View, rays: Tensor) -> Lookup:
-    """Return the look-up of directions (h, w, 3) in a panorama on `view`."""
+def _in_panorama(view: View, rays: Tensor, below: Callable[[Tensor, int], Tensor]) -> Lookup:
+    """Return the look-up of directions (h, w, 3) in a panorama on `view`; `below` its far borders, or on them."""
     x, y, z = rays.unbind(-1)
     row, column = pixels(x, y, z, view)
-    valid = (row >= 0) & (row <= view.rows) & (view.circular | ((column >= 0) & (column <= view.columns)))
+    valid = (row >= 0) & below(row, view.rows) & (view.circular | ((column >= 0) & below(column, view.columns)))
     row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))
     return Lookup(row=row, column=column, valid=valid, circular=view.circular)
 
@@ -194,7 +195,7 @@ def cube_faces(view: View) -> dict[str, Calibration]:
 
 def panorama_in_view(view: View, target: View) -> Lookup:
     """Return the look-up from a panorama on `view` to `target`, another raster around the same point."""
-    return _in_panorama(view, directions(target))
+    return _in_panorama(view, directions(target), torch.le)
 
 
 def lookups(view: View, projection: str) -> dict[str, Lookup]:
