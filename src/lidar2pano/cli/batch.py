@@ -136,13 +136,13 @@ def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], b
     Of scan files that are named one by one, as by a shell's *.bin, one of --every counts, as in a folder.
     """
     files: dict[Path, Path] = {}
-    failed, single = False, 0
+    failed, single, every = False, 0, options.reading.selection.every
     for path in sort_listed(list(paths)):
         try:
             chosen = drive_files(path, options.reading.selection)
-            if chosen == [path] and recording_reader(path) is None:
+            if every > 1 and chosen == [path] and recording_reader(path) is None:
                 single += 1
-                if (single - 1) % options.reading.selection.every:
+                if (single - 1) % every:
                     continue
             for file in chosen:
                 files.setdefault(file.resolve(), file)
