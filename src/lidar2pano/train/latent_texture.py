@@ -84,9 +84,9 @@ class LatentTexture(LatentPainting):
         clues = self.clues(batch, self.painter.decoder.normalised(batch.latents))
         noise = torch.randn_like(batch.latents)
         made = self.painted(batch, noise, clues)
-        same = paired | (torch.rand(len(made), device=made.device) < 0.5)
-        anew = self._painted_anew(batch, noise, clues, same)
-        still = same & ~clues.photograph[:, -1].any(2).any(1)
+        repeats = paired | (torch.rand(len(made), device=made.device) < 0.5)
+        anew = self._painted_anew(batch, noise, clues, repeats)
+        still = repeats & ~clues.photograph[:, -1].any(2).any(1)
         terms = {
             "pooled": options.pooled * self._pooled_loss(made, anew, batch, paired),
             "held": options.held * masked_error(made, anew, still[:, None, None].expand_as(batch.shown)),
@@ -135,17 +135,17 @@ class LatentTexture(LatentPainting):
         return mse_loss(pooled(made), pooled(torch.where(paired[:, None, None, None], goal, anew)))
 
     @torch.no_grad()
-    def _painted_anew(self, batch: LatentSample, noise: Tensor, clues: Clues, same: Tensor) -> Tensor:
+    def _painted_anew(self, batch: LatentSample, noise: Tensor, clues: Clues, repeats: Tensor) -> Tensor:
         """Return pictures as of a sensor that has turned by some pixels and measures half of the points.
 
-        The noise of samples that are the `same` (B,) turns with the sensor, as in a drive; all other noise is new.
+        The noise of `repeats` (B,) bool turns with the sensor, as in a drive; that of all other samples is new.
         """
         turn = int(torch.randint(STRIDE, ()))
         conditions = batch.conditions.roll(turn, -1)
         kept = torch.rand_like(conditions[:, :1]) < 0.5
         conditions[:, MEASUREMENT.start : REMISSION + 1] *= kept
         turned = noise.roll(round(turn / FOLD), -1)
-        turned = torch.where(same[:, None, None, None], turned, torch.randn_like(noise))
+        turned = torch.where(repeats[:, None, None, None], turned, torch.randn_like(noise))
         return self.painted(batch._replace(conditions=conditions), turned, clues).roll(-turn * (FACTOR // FOLD), -1)
 
     def painted(self, batch: LatentSample, noise: Tensor, clues: Clues) -> Tensor:
