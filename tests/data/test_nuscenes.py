@@ -250,6 +250,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda r: edited(r, "calibrated_sensor", lambda rows: rows[-1].update(camera_intrinsic=[[1, 2], [3]])),
         r"calibrated_sensor.json: row '.*': camera_intrinsic: holds no numbers",
     ),
+    "four numbers for a camera matrix": (
+        lambda r: edited(r, "calibrated_sensor", lambda rows: rows[-1].update(camera_intrinsic=[200, 200, 80, 45])),
+        r"calibrated_sensor.json: row '.*': camera_intrinsic: is no camera matrix",
+    ),
     "a camera missing": (
         lambda r: edited(r, "sample_data", lambda rows: rows.pop()),
         r"sample_data.json: has no CAM_FRONT_RIGHT of sample",

@@ -542,7 +542,7 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no focal length": (
         lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"]["K"].pop("fx")),
-        r"K: holds no finite numbers",
+        r"K: is missing, or holds no finite numbers",
     ),
     "another size": (
         lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"].update(size=[960, 540])),
@@ -550,7 +550,7 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no pose": (
         lambda r: edit(r / S / "calib/000000.json", lambda c: c.pop("world_from_lidar")),
-        r"world_from_lidar: holds no finite numbers",
+        r"world_from_lidar: is missing, or holds no finite numbers",
     ),
     "no labels": (lambda r: (r / S / "labels_pandaset/000000.label").unlink(), r"000000.label: cannot be read"),
     "too few labels": (
@@ -571,6 +571,12 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no focal length that can be": (
         lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"]["K"].update(fx=-3)),
+        r"K: is no camera matrix",
+    ),
+    "four numbers for a camera": (
+        lambda r: edit(
+            r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"].update(K=[100.0, 100.0, 80.0, 40.0])
+        ),
         r"K: is no camera matrix",
     ),
     "a class of a strange number": (lambda r: edit(r / "classes.json", lambda c: c.update({"-5": "Car"})), r"class -5"),
@@ -615,6 +621,18 @@ NUSCENES_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a camera looking backwards": (
         lambda r: edit(
             r / "info.json", lambda c: c["data_list"][0]["images"]["CAM_BACK"]["cam2img"][0].__setitem__(0, -3)
+        ),
+        r"cam2img: is no camera matrix",
+    ),
+    "four numbers for a camera": (
+        lambda r: edit(
+            r / "info.json", lambda c: c["data_list"][0]["images"]["CAM_BACK"].update(cam2img=[100, 100, 80, 40])
+        ),
+        r"cam2img: is no camera matrix",
+    ),
+    "a lens's number before a camera": (
+        lambda r: edit(
+            r / "info.json", lambda c: c["data_list"][0]["images"]["CAM_BACK"].update(cam2img=[1, 100, 100, 80, 40])
         ),
         r"cam2img: is no camera matrix",
     ),

@@ -63,13 +63,12 @@ def calibration_of(
     """Return the camera of a calibration's entry for an image of `size` (width, height); path, image: for messages.
 
     size  None: as the entry says.
-
     Raises InputError for another size, no camera matrix, and an unknown distortion.
     """
     their_size = _size(path, entry)
     if (size := size or their_size) is None:
         raise InputError(f"{path}: says no size of its image; replace the calibration")
-    K, first = camera_matrix(path, entry)
+    K, first = camera_matrix(path, entry, short=True)
     if their_size != size:
         K, their_size = _of_part(path, entry, K, their_size)
     if their_size and their_size != size:
@@ -139,7 +138,7 @@ def _numbers(path: object, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: {name}: holds no numbers; replace the calibration") from error
     if not np.isfinite(numbers).all() or numbers.size > 64:
-        raise InputError(f"{path}: {name}: holds no finite numbers; replace the calibration")
+        raise InputError(f"{path}: {name}: is missing, or holds no finite numbers; replace the calibration")
     return numbers
 
 
@@ -158,22 +157,23 @@ def _size(path: Path, entry: Entry) -> tuple[int, int] | None:
     return round(width), round(height)
 
 
-def camera_matrix(path: object, entry: Entry) -> tuple[np.ndarray, list[float]]:
-    """Return K (3, 3) float64, and Kalibr's xi if it comes before it; InputError, with `path`, if there is none."""
-    name = _first(entry, MATRICES)
+def camera_matrix(path: object, entry: Entry, *, short: bool = False) -> tuple[np.ndarray, list[float]]:
+    """Return K (3, 3) float64, and Kalibr's xi if it comes before it; InputError, with `path`, if there is none.
+
+    short  whether fx, fy, cx and cy without names may stand for it, as Kalibr writes them.
+    """
+    name = _first(entry, MATRICES) or MATRICES[0]
     value = entry.get(name)
     if isinstance(value, dict) and "fx" in value:  # PandaSet
-        value = [value.get(key) for key in ("fx", "fy", "cx", "cy")]
-    numbers = _numbers(path, name or MATRICES[0], value).tolist()
-    first = [numbers.pop(0)] if len(numbers) == 5 else []
-    if len(numbers) == 4:
+        value, short = [value.get(key) for key in ("fx", "fy", "cx", "cy")], True
+    numbers = _numbers(path, name, value).tolist()
+    first = [numbers.pop(0)] if short and len(numbers) == 5 else []
+    if short and len(numbers) == 4:
         fx, fy, cx, cy = numbers
         numbers = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     K = np.array(numbers).reshape(3, 3) if len(numbers) == 9 else np.zeros((3, 3))
     if not is_camera_matrix(K):
-        raise InputError(
-            f"{path}: {name or 'a camera'}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); replace the calibration"
-        )
+        raise InputError(f"{path}: {name}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); replace the calibration")
     return K / K[2, 2], first
 
 
