@@ -186,6 +186,10 @@ def test_several_sensors(tmp_path):
         (json.dumps(metadata("RNG15_RFL8_NIR8")), "holds no packets of 512 bytes, which a.json tells of"),
         (json.dumps(metadata("LEGACY") | {"beam_altitude_angles": ["a"]}), "is no metadata of an Ouster"),
         (json.dumps(metadata("LEGACY") | {"lidar_to_sensor_transform": [1]}), "is no metadata of an Ouster"),
+        (json.dumps(metadata("LEGACY") | {"data_format": {"columns_per_packet": "x"}}), "is no metadata of an Ouster"),
+        (json.dumps(metadata("LEGACY") | {"data_format": {"columns_per_packet": {}}}), "is no metadata of an Ouster"),
+        (json.dumps(metadata("LEGACY") | {"data_format": {"columns_per_frame": -64}}), "is no metadata of an Ouster"),
+        (json.dumps(metadata(["LEGACY"])), r"packets of profile \['LEGACY'\] are not decoded; there is LEGACY"),
     ],
 )
 def test_metadata_that_are_none(tmp_path, content, says):

@@ -116,11 +116,6 @@ class Sensor:
     packet_columns: int
 
     @property
-    def columns(self) -> int:
-        """Columns of a turn."""
-        return self.optics.columns
-
-    @property
     def packet_bytes(self) -> int:
         """Length of its packets of points."""
         header = self.profile.header
@@ -138,7 +133,7 @@ class Sensor:
     def columns_of(self, payload: bytes) -> np.ndarray:
         """Return the valid columns of a packet."""
         rows = np.frombuffer(payload, self.block, self.packet_columns, self.profile.header)
-        return rows[(rows["status"] & 1 == 1) & (rows["column"] < self.columns)]
+        return rows[(rows["status"] & 1 == 1) & (rows["column"] < self.optics.columns)]
 
     def cloud(self, rows: np.ndarray, name: str) -> PointCloud:
         """Return the points of the columns (n,) of a turn, as `Optics.cloud` does."""
@@ -156,10 +151,10 @@ class Sensor:
 def read_sensor(path: Path) -> Sensor:
     """Return the sensor of a metadata .json, of any firmware; InputError for another file or an unknown profile."""
     optics, settings = optics_of(read_json(path), str(path))
-    name = settings.get("udp_profile_lidar") or "LEGACY"
+    name = str(settings.get("udp_profile_lidar") or "LEGACY")
     if name not in PROFILES:
         raise InputError(f"{path}: packets of profile {name} are not decoded; there is {', '.join(PROFILES)}")
-    return Sensor(PROFILES[name], optics, int(settings.get("columns_per_packet", 16)))
+    return Sensor(PROFILES[name], optics, settings["columns_per_packet"])
 
 
 def optics_of(content: Any, source: str) -> tuple[Optics, dict[str, Any]]:  # noqa: ANN401
@@ -173,9 +168,13 @@ def optics_of(content: Any, source: str) -> tuple[Optics, dict[str, Any]]:  # no
         T = np.array(settings["lidar_to_sensor_transform"], np.float64).reshape(4, 4)
         T[:3, 3] *= 1e-3
         mode = str(settings.get("lidar_mode", "1024x10")).removeprefix("MODE_")
+        columns = int(settings.get("columns_per_frame") or mode.split("x")[0])
+        settings["columns_per_packet"] = int(settings.get("columns_per_packet", 16))
+        if columns < 1:
+            raise ValueError(f"{columns} columns")
         return Optics(
             beams=beams.reshape(-1, 2),
-            columns=int(settings.get("columns_per_frame") or mode.split("x")[0]),
+            columns=columns,
             origin_m=float(settings.get("lidar_origin_to_beam_origin_mm", 0)) * 1e-3,
             T=T,
         ), settings
@@ -235,23 +234,23 @@ def turns(sensor: Sensor, payloads: Iterator[bytes]) -> Iterator[np.ndarray]:
     """Yield the columns of each turn, with at least LEAST_SHARE of them; the fullest if none has so many."""
     rows: list[np.ndarray] = []
     fullest, complete = np.empty(0, sensor.block), False
-    last = -1
+    last, turn_columns = -1, sensor.optics.columns
     for payload in payloads:
         block = sensor.columns_of(payload)
         columns = block["column"].astype(int)
-        wraps = np.flatnonzero(np.diff(columns, prepend=last) < -sensor.columns // 2)
+        wraps = np.flatnonzero(np.diff(columns, prepend=last) < -turn_columns // 2)
         if len(wraps):
             rows.append(block[: wraps[0]])
             turn = np.concatenate(rows)
             fullest = max(fullest, turn, key=len)
-            if len(turn) >= LEAST_SHARE * sensor.columns:
+            if len(turn) >= LEAST_SHARE * turn_columns:
                 complete = True
                 yield turn
             rows, block = [], block[wraps[0] :]
         rows.append(block)
         last = int(columns[-1]) if len(columns) else last
     turn = np.concatenate([*rows, np.empty(0, sensor.block)])
-    if len(turn) < LEAST_SHARE * sensor.columns:
+    if len(turn) < LEAST_SHARE * turn_columns:
         turn = turn[:0] if complete else max(turn, fullest, key=len)
     if len(turn):
         yield turn
