@@ -13,6 +13,7 @@ import pytest
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.recorded_scans import frames
 
 BEAMS, COLUMNS = 4, 64
@@ -197,3 +198,14 @@ def test_metadata_that_are_none(tmp_path, content, says):
     (tmp_path / "a.json").write_text(content)
     with pytest.raises(InputError, match=says):
         clouds(path)
+
+
+def test_times_beyond_the_largest_are_damage(tmp_path):
+    path = capture(tmp_path / "a.pcap", "LEGACY")
+    (tmp_path / "a.json").write_text(json.dumps(metadata("LEGACY")))
+    data = path.read_bytes()
+    for column in range(COLUMNS):
+        data = data.replace(struct.pack("<Q", 10**12 + column * 10**6), b"\xff" * 8)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="a.pcap: is damaged or cut short"):
+        Playback(path)

@@ -1,4 +1,4 @@
-"""The description of a recording, the choice of the scans' topic, and the interface of recordings of ROS messages."""
+"""The description of a recording, the choice of the scans' topic, and the interface of open recordings."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ MOST_NAMED = 12  # topics in a message; `inspect` lists all
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
-    """A topic of a ROS recording, or the stream of one sensor in a packet capture.
+    """A topic of a ROS recording, or the stream of one sensor in a packet capture or an OSF.
 
-    type   of its messages in ROS 2's form, "sensor_msgs/msg/PointCloud2"; for packets, "Velodyne packets".
+    type   of its messages in ROS 2's form, "sensor_msgs/msg/PointCloud2"; of a sensor, "Velodyne packets".
     count  of messages.
     """
 
@@ -138,7 +138,8 @@ class Recording:
 
     def stamps_ns(self, topic: Topic) -> np.ndarray:
         """Return the times of recording of a topic's messages, int64 in order; by an index alone if there is one."""
-        return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
+        with damage(self.path, "record it again"):  # formats' numbers without a sign may be larger
+            return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
         """Return the message as an object with ROS's attributes; raises the library's errors."""

@@ -92,7 +92,7 @@ class McapFile(Recording):
         stamps_ns: list[int] = []
         with damage(self.path, REPAIR):
             if not all(chunk.message_index_offsets for chunk in self._chunks) or not self._chunks:
-                return super().stamps_ns(topic)  # the format's numbers have no sign
+                return super().stamps_ns(topic)
             for chunk in self._chunks:
                 for number, offset in chunk.message_index_offsets.items():
                     if self._names[number] == (topic.name, topic.type):
