@@ -247,8 +247,7 @@ def work(descriptor: int) -> None:
             bound, folder, function, arguments = receive(channel, sys.maxsize)
             try:
                 os.chdir(folder)
-                answer = _called(bound, function, arguments)
-                send(channel, (*answer, _data_bytes() > begin + KEPT_BYTES))
+                send(channel, (*_called(bound, function, arguments), _data_bytes() > begin + KEPT_BYTES))
             except MemoryError:  # for the answer; nothing of it is sent yet
                 send(channel, ("memory", "", True))
 

@@ -31,7 +31,7 @@ import torch
 from PIL import Image
 
 import sample_files
-from lidar2pano.child_process import AnswerUnpickler, Bound, ChildProcess
+from lidar2pano.child_process import AnswerUnpickler, Bound, ChildProcess, _data_bytes
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image, write_whole
@@ -631,6 +631,18 @@ def test_a_child_that_keeps_memory_is_replaced():
             found.append(child.call(bound, "a", os.getpid) == before)
         child.close()
     assert found == [True, False, True, True]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells how much memory a process has")
+def test_a_child_that_keeps_objects_keeps_no_answers():
+    bound, child = Bound(bytes=1 << 30, seconds=5.0), ChildProcess(keeps=True)
+    try:
+        assert len(child.call(bound, "a", np.zeros, 10)) == 10
+        before = child.call(bound, "a", _data_bytes)
+        assert len(child.call(bound, "a", np.zeros, 1 << 24)) == 1 << 24
+        assert child.call(bound, "a", _data_bytes) < before + (1 << 25)
+    finally:
+        child.close()
 
 
 # --- weights ----------------------------------------------------------------------------------------------------------
