@@ -83,7 +83,7 @@ def test_what_a_file_holds_is_listed(capsys):
     found = describe(TWO)
     assert found is not None and found.format == "OSF"
     assert [(topic.name, topic.count) for topic in found.topics] == [("122000000001", 2), ("122000000002", 2)]
-    with pytest.raises(InputError, match="holds points on 122000000001, 122000000002; choose one with --topic"):
+    with pytest.raises(InputError, match="holds points on 122000000001, 122000000002; choose one with --topic$"):
         clouds(TWO)
     assert main(["inspect", str(DUAL)]) == 0
     assert "122000000001" in capsys.readouterr().out

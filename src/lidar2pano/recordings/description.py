@@ -13,7 +13,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS, POINTS
+from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS, POINTS, SENSORS
 
 MOST_TOPICS = 10_000  # of a recording; vehicles have some hundreds
 # message type -> the package to turn its packets into points
@@ -197,7 +197,8 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str) -> Topic:
     if not candidates:
         raise InputError(_no_points(path, topics))
     if len(candidates) > 1:
-        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic, or name all")
+        or_all = "" if candidates[0].type in SENSORS else ", or name all"
+        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic{or_all}")
     (topic,) = candidates
     if topic.type in PACKETS or topic.type in COMPRESSED:
         raise InputError(_undecoded(path, topic))

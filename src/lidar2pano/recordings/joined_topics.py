@@ -12,7 +12,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.recordings.description import RawMessage, Recording, Topic
-from lidar2pano.recordings.point_messages import CLOUDS, JOINED, OUSTER, VELODYNE
+from lidar2pano.recordings.point_messages import CLOUDS, JOINED, SENSORS
 from lidar2pano.recordings.transforms import fixed_poses
 
 ALL = "all"  # --topic
@@ -25,7 +25,7 @@ def join_topics(recording: Recording, topic: str) -> Recording:
     The recording is closed where this fails.
     """
     topics = recording.description.topics
-    clouds = [held for held in topics if held.type in CLOUDS and held.type not in (VELODYNE, OUSTER) and held.count]
+    clouds = [held for held in topics if held.type in CLOUDS and held.type not in SENSORS and held.count]
     if topic != ALL or not clouds or any(held.name.strip("/") == ALL for held in topics):
         return recording
     try:

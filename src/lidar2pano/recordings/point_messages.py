@@ -82,12 +82,12 @@ def _cloud(columns: dict[str, np.ndarray], format: str, name: str, frame: str, s
 
 FOXGLOVE = "foxglove.PointCloud"
 JOINED = "points of several sensors"  # decoded to a PointCloud
-VELODYNE, OUSTER = "Velodyne packets", "Ouster scans"  # not of ROS; decoded to a function: title for messages -> points
+VELODYNE, OUSTER = SENSORS = "Velodyne packets", "Ouster scans"  # not of ROS; decoded to: title for messages -> points
 # type, with the encoding if it is not ROS's -> (decoded message, title for messages) -> its points
 CLOUDS: dict[str, Callable[[Any, str], PointCloud]] = {
     POINTS: cloud_of_message,
     JOINED: lambda cloud, _: cloud,
-    **dict.fromkeys([VELODYNE, OUSTER], lambda decode, title: decode(title)),
+    **dict.fromkeys(SENSORS, lambda decode, title: decode(title)),
     "sensor_msgs/msg/PointCloud": _cloud_of_channels,
     **dict.fromkeys([name for name in DEFINITIONS if name.endswith("CustomMsg")], _cloud_of_livox),
     **dict.fromkeys(["foxglove_msgs/msg/PointCloud"], _cloud_of_foxglove),
