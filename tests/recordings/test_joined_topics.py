@@ -9,6 +9,7 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordi
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.mcap_files import McapFile
 from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.recorded_scans import frames
 from miniature import street
@@ -76,3 +77,12 @@ def test_without_links_one_has_to_be_chosen(tmp_path):
 def test_one_lidar_is_all(tmp_path):
     sent = [one for one in drive() if one.topic != "/side/points"]
     assert [len(cloud) for cloud in clouds(write(tmp_path, "bag", sent))] == [300] * 4
+
+
+def test_a_topic_that_lacks_its_messages_is_damage(tmp_path, monkeypatch):
+    path = write(tmp_path, "mcap", drive())
+    monkeypatch.setattr(McapFile, "messages", lambda *_: iter(()))  # its statistics count some
+    with pytest.raises(InputError, match=r"drive.mcap: is damaged or cut short"):
+        clouds(path)
+    with pytest.raises(InputError, match=r"drive.mcap: is damaged or cut short"):
+        Playback(path, "all")

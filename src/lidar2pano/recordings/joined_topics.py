@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.recordings.description import RawMessage, Recording, Topic
+from lidar2pano.recordings.description import RawMessage, Recording, Topic, damage
 from lidar2pano.recordings.point_messages import CLOUDS, JOINED, SENSORS
 from lidar2pano.recordings.transforms import fixed_poses
 
@@ -42,7 +42,8 @@ class JoinedRecording(Recording):
         """Find out how the sensors are mounted; InputError if tf_static does not tell."""
         super().__init__(recording.path)
         self.files, self.indexed, self._recording, self._clouds = recording.files, recording.indexed, recording, clouds
-        frame_by_name = {topic.name: self._cloud(next(recording.messages((topic,)))).frame for topic in clouds}
+        with damage(self.path, "choose one LiDAR with --topic"):  # a topic may lack its messages
+            frame_by_name = {topic.name: self._cloud(next(recording.messages((topic,)))).frame for topic in clouds}
         poses = fixed_poses(recording, set(frame_by_name.values()))
         if poses is None:
             frames = ", ".join(sorted(set(frame_by_name.values())))
