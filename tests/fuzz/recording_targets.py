@@ -7,6 +7,7 @@ import itertools
 import json
 import struct
 from collections.abc import Callable
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 
@@ -16,8 +17,10 @@ from rosbags.rosbag1 import Writer as Bag1
 
 import miniature_recordings as recordings
 from lidar2pano.cli.inspect import described
+from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.point_messages import DEFINITIONS
 from lidar2pano.recordings.recorded_scans import describe, frames, recorded_motion
 from lidar2pano.scan import Scan
@@ -91,10 +94,14 @@ def _capture() -> bytes:
 
 
 def _all_of(path: Path, data: bytes) -> None:
-    """Describe a recording, read its scans as `translate` does, and its poses."""
+    """Describe a recording, read its scans as `bulk` and as `translate` do, and its poses."""
     path.write_bytes(data)
     if describe(path) is None:
         return
+    for topic in ("", "all"):
+        with suppress(InputError), closing(Playback(path, topic)) as opened:
+            for number in opened.numbers(OPTIONS[1])[:MOST_SCANS]:
+                opened.frame(number)
     for options in OPTIONS:
         for frame in itertools.islice(frames(path, options), MOST_SCANS):
             described(*interpret(frame.cloud(), Overrides()))
