@@ -38,10 +38,7 @@ CPU = torch.device("cpu")
 CAMERA = (15, 376, 1241)  # classes, rows and columns of the published TITAN-Net
 WORLD_SEED, WORLD_PLACE = 5, "residential"
 WHOLE = "whole panorama"
-BELIEF = ("project", "segment", "clean_up", "translate")  # stages that make a scene
 OUTSIDE = "outside of stages"
-
-
 Row = dict[str, Any]
 """A line of a table: a title, and the median and least milliseconds over the runs; or the medians by engine."""
 

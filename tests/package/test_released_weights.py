@@ -19,7 +19,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 import lidar2pano
 from installed_families import INSTALLED, needs_streets
-from lidar2pano.bench import BELIEF, WHOLE, _Counter, measure_operations
+from lidar2pano.bench import WHOLE, _Counter, measure_operations
 from lidar2pano.demo import street
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
@@ -32,6 +32,7 @@ from lidar2pano.scene.surfaces import cylinder_points, normals
 from miniature_surround import camera_view, six
 
 FOLDER = Path(__file__).resolve().parents[1] / "demo_ground_truth"
+BELIEF = ("project", "segment", "clean_up", "translate")  # stages that make a scene
 SCORED = ("car", "road", "sidewalk", "building", "vegetation", "terrain", "sky")  # at least 3,000 of 110,592 pixels
 
 
