@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import math
 import struct
@@ -168,6 +169,14 @@ def test_turns_that_are_cut_are_left_out(tmp_path):
     assert [round(cloud.stamp_s or 0, 3) for cloud in clouds(path)] == [1000.1, 1000.2]
     path = capture(tmp_path / "a.pcap", "LEGACY", turns=1, first=3)
     assert [len(cloud) for cloud in clouds(path)] == [16 * BEAMS]  # better than nothing
+
+
+def test_a_packed_capture_has_its_metadata_beside_it(tmp_path):
+    path = capture(tmp_path / "a.pcap", "LEGACY")
+    (tmp_path / "a.json").write_text(json.dumps(metadata("LEGACY")))
+    packed = tmp_path / "a.pcap.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert [cloud.xyz.tolist() for cloud in clouds(packed)] == [cloud.xyz.tolist() for cloud in clouds(path)]
 
 
 def test_several_sensors(tmp_path):

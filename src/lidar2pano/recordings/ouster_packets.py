@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
 from lidar2pano.name_order import sort_names
@@ -285,5 +286,6 @@ def ouster_turns(path: Path, frames: Iterator[bytes], topic: str) -> tuple[Senso
 
 def metadata_files(path: Path) -> list[Path]:
     """Return the .json files beside a capture with the beginning of its name, that of the same name first."""
-    files = sort_names(path.parent.glob(f"{glob.escape(path.stem)}*.json"))
-    return sorted(files, key=lambda file: file.stem != path.stem)
+    stem = stem_of(path)
+    files = sort_names(path.parent.glob(f"{glob.escape(stem)}*.json"))
+    return sorted(files, key=lambda file: file.stem != stem)
