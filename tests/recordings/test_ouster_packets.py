@@ -185,6 +185,8 @@ def test_several_sensors(tmp_path):
     with pytest.raises(InputError, match=r"packets of 10.0.0.5:7502, 10.0.0.6:7502; choose one with --topic"):
         clouds(path)
     assert len(clouds(path, topic="10.0.0.6:7502")) == 3
+    with pytest.raises(InputError, match=r"a.pcap: has no topic '10.0.0.6'; did you mean '10.0.0.6:7502'"):
+        clouds(path, topic="10.0.0.6")
 
 
 @pytest.mark.parametrize(

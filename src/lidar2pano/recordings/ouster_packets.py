@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
@@ -118,9 +118,8 @@ class Sensor:
 
     @property
     def packet_bytes(self) -> int:
-        """Length of its packets of points."""
-        header = self.profile.header
-        return header + self.packet_columns * self.block.itemsize + (32 if header else 0)
+        """Length of its packets of points; as much as before the columns is behind them."""
+        return self.packet_columns * self.block.itemsize + 2 * self.profile.header
 
     @cached_property
     def block(self) -> np.dtype:
@@ -198,12 +197,11 @@ def datagrams(frames: Iterator[bytes]) -> Iterator[tuple[str, bytes]]:
         if offset or more:
             key = frame[start + 12 : start + 20] + number.to_bytes(2, "big")
             pending.setdefault(key, {})[offset] = body, more
-            if (whole := _whole(pending[key])) is None:
+            if (body := _whole(pending[key])) is None:
                 while len(pending) > MOST_PENDING:
                     del pending[next(iter(pending))]
                 continue
             del pending[key]
-            body = whole
         if len(body) >= 8:
             port, _, length = struct.unpack_from(">HHH", body)
             yield f"{'.'.join(map(str, source))}:{port}", body[8:length]
@@ -267,15 +265,17 @@ def ouster_turns(path: Path, frames: Iterator[bytes], topic: str) -> tuple[Senso
     sensor = read_sensor(metadata)
 
     def payloads() -> Iterator[bytes]:
-        chosen = topic
+        sources = dict[str, None]()
         for source, payload in datagrams(frames):
-            if len(payload) != sensor.packet_bytes or source != (chosen or source):
-                if len(payload) == sensor.packet_bytes and not topic:
-                    raise InputError(f"{path}: holds packets of {chosen}, {source}; choose one with --topic")
-                continue
-            chosen = source
-            yield payload
-        if not chosen:
+            if len(payload) == sensor.packet_bytes:
+                sources[source] = None
+                if len(sources) > 1 and not topic:
+                    raise InputError(f"{path}: holds packets of {', '.join(sources)}; choose one with --topic")
+                if source == (topic or source):
+                    yield payload
+        if topic and sources and topic not in sources:
+            raise InputError(f"{path}: has no topic {topic!r}{closest(topic, sources)}")
+        if not sources:
             raise InputError(
                 f"{path}: holds no packets of {sensor.packet_bytes} bytes, which {metadata.name} tells of; put the"
                 " sensor's own .json beside it"
