@@ -371,6 +371,7 @@ def test_connections_that_come_at_once_close_as_many_others():
     [
         ({"Origin": "https://evil.example"}, 403),
         ({"Origin": "null"}, 403),
+        ({"Origin": "http://["}, 403),
         ({"Sec-Fetch-Site": "cross-site"}, 403),
         ({"Sec-Fetch-Site": "same-site"}, 403),  # another port of this machine
         ({"Sec-Fetch-Site": "same-origin"}, 200),

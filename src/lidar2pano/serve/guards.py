@@ -55,7 +55,7 @@ class Guard:
         origin, site = headers.get("origin"), headers.get("sec-fetch-site", "").lower()
         link = method == "GET" and headers.get("sec-fetch-mode", "").lower() == "navigate" and origin is None
         foreign = site not in OWN_SITE and not link  # whoever follows a link sees the answer, not the other page
-        if foreign or (origin is not None and urlsplit(origin.lower()).netloc != hosts[0].lower()):
+        if foreign or (origin is not None and origin.lower().partition("://")[2] != hosts[0].lower()):
             return JSONResponse(
                 {"error": "the request comes from another site's page; use this server's own"}, 403, HEADERS
             )
