@@ -38,7 +38,7 @@ from lidar2pano.formats.readers import read
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
 from lidar2pano.serve import BoundedConnection, Limits, UploadTranslator, create_application, is_loopback
-from lidar2pano.serve.uploads import KeptResults, Result, known_ending, parse_parts
+from lidar2pano.serve.uploads import KeptResults, Result, file_of_form, known_ending, parse_parts
 from random_weights import street, write_scan
 from stand_in_pipeline import StandIn
 
@@ -200,6 +200,15 @@ def test_a_form_of_one_file_is_its_file(server, scan):
         body, content_type = form(*fields)
         status, _, data = server.ask("POST", "/panorama", body, **{"Content-Type": content_type})
         assert status == 422 and f"form: holds {len(fields)} fields" in json.loads(data)["error"]
+
+
+@pytest.mark.parametrize("charset", [b"utf-8", b"a\0b", b"idna", b"punycode"])
+def test_a_name_may_have_any_charset(charset):
+    """As some clients send what is not ASCII; of a name its ending counts alone."""
+    head = b"Content-Disposition: form-data; name=a; filename*=%s''%%80.pcd" % charset
+    body = b"--x\r\n%s\r\n\r\nhello\r\n--x--\r\n" % head
+    content, name = file_of_form(body, "multipart/form-data; boundary=x")
+    assert content == b"hello" and name.endswith(".pcd")
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------------

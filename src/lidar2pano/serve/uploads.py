@@ -249,4 +249,5 @@ def file_of_form(body: bytes, content_type: str) -> tuple[bytes, str]:
     head, separator, content = parts[0].lstrip(b"\r\n").partition(b"\r\n\r\n")
     if not separator:
         raise InputError("form: its field has no content; send the bytes of a scan file")
-    return content, BytesHeaderParser().parsebytes(head).get_filename() or ""
+    name = BytesHeaderParser().parsebytes(head).get_param("filename", "", "content-disposition")
+    return content, name[2] if isinstance(name, tuple) else name  # of three: charset, language, value
