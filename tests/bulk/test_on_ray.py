@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -107,14 +108,17 @@ def fake_ray(monkeypatch):
 
 
 def translated(
-    deadly: set[str], healthy: bool = True, most: int = 20
+    deadly: set[str], healthy: Callable[[int], bool] = lambda number: True, most: int = 20
 ) -> tuple[dict[str, dict | None], list[Fake], list[Fake]]:
-    """Records of twenty scans by name, all workers that were made, and the last ones; at `most` it is stopped."""
+    """Records of twenty scans by name, all workers that were made, and the last ones; at `most` it is stopped.
+
+    healthy  whether a worker starts, by the number of those before it.
+    """
     made: list[Fake] = []
     pool: list[Fake] = []
 
     def make() -> Fake:
-        made.append(Fake(deadly, healthy))
+        made.append(Fake(deadly, healthy(len(made))))
         return made[-1]
 
     todo = [Entry(key=ScanKey(f"{number}.bin"), stem=f"{number}") for number in range(20)]
@@ -142,4 +146,12 @@ def test_a_run_that_is_stopped_gives_out_no_more_scans():
 @pytest.mark.usefixtures("fake_ray")
 def test_workers_that_cannot_start_end_the_run():
     with pytest.raises(InputError, match="workers die while they start"):
-        translated(set(), healthy=False)
+        translated(set(), healthy=lambda number: False)
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_workers_that_die_at_their_start_now_and_then_are_replaced():
+    deadly = {f"{number}.bin" for number in range(0, 20, 3)}
+    records, made, _ = translated(deadly, healthy=lambda number: number % 2 == 0)
+    assert {name for name, record in records.items() if record is None} == deadly and len(records) == 20
+    assert len(made) > 2 * ATTEMPTS + 2

@@ -140,7 +140,9 @@ def _answers(
                     pool[pool.index(worker)] = worker = make()
                     running[worker.prepare.remote()] = worker, None
                 continue
-            if entry is not None:
+            if entry is None:
+                failed_starts = 0  # in a row
+            else:
                 yield entry, record
             for following in islice(scans, 0 if stopped() else at_once if entry is None else 1):
                 running[worker.translate.remote(following)] = worker, following
