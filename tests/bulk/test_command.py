@@ -113,3 +113,9 @@ def test_mistakes(drive, random_weights, capsys, arguments, message):
     lines = [line for line in capsys.readouterr().err.splitlines() if "commercial" not in line]
     assert len(lines) == 1 and message in lines[0]
     assert not list(drive.rglob("*.png")) and not list(drive.rglob(".lidar2pano*"))
+
+
+def test_a_device_that_does_not_exist_is_refused_for_ray_too(drive, random_weights, capsys, monkeypatch):
+    monkeypatch.setattr("lidar2pano.bulk.on_ray.connected", None)
+    assert main(["bulk", "drive", "--out", "o", "--ray", "--weights", str(random_weights), "--device", "cuad"]) == 2
+    assert capsys.readouterr().err == "lidar2pano: no device 'cuad'; there is auto, cpu and cuda\n"

@@ -106,10 +106,10 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     pictures = opt.collect_pictures(image_format, projection)
     _check_layout(layout, elevation, **pictures)
     source, only = _source(root)
-    part = Shard.parsed(shard)
+    here = "cpu" if address and device in ("auto", "cuda") else device  # on a cluster its machines have the GPUs
     options = checked_options(
         weights,
-        **opt.collect_choices("cpu" if address else device, engine, look, quality, seed, elevation),
+        **opt.collect_choices(here, engine, look, quality, seed, elevation),
         out=Path(out),
         save=opt.parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         **pictures,
@@ -129,7 +129,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
             strict=strict,
         ),
     )
-    raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores), only))
+    raise typer.Exit(run(job, Shard.parsed(shard), options, Cluster(address, device, workers, cores), only))
 
 
 def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) -> int:
