@@ -131,7 +131,8 @@ def test_the_manifest_is_put_right(root, tmp_path):
     run(job_of(root, out))
     path = out / "manifest" / "0-of-1.jsonl"
     lines = path.read_text().splitlines()
-    path.write_text("\n".join([lines[0], lines[0], *lines[2:-1], lines[-1][:40]]))  # twice, lost, torn
+    odd = [json.dumps(json.loads(lines[0]) | {"input": "odd.bin", "outputs": outputs}) for outputs in ([5], [["a"]])]
+    path.write_text("\n".join([lines[0], lines[0], *odd, *lines[2:-1], lines[-1][:40]]))  # twice, lost, odd, torn
     run(job_of(root, out))
     assert_each_once(out, root)
     lost = {line["input"]: line for line in manifest(out)}[json.loads(lines[1])["input"]]

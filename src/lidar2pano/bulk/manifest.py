@@ -112,7 +112,8 @@ def _parsed(data: bytes) -> Iterator[dict[str, Any]]:
 
 def _made(record: dict[str, Any]) -> bool:
     """Return whether the line is of a scan with outputs."""
-    return record.get("error") is None and isinstance(record.get("outputs"), list) and bool(record["outputs"])
+    outputs = record.get("outputs") if record.get("error") is None else None
+    return isinstance(outputs, list) and bool(outputs) and all(isinstance(name, str) for name in outputs)
 
 
 def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Mapping[str, str]) -> None:
