@@ -135,6 +135,36 @@ def test_translate_writes_everything_to_look_at(here, run, opened):
     assert all(Path(name).stat().st_size > 1000 for name in ("v/a.mp4", "a.rrd"))
 
 
+REPLACED = "was there and is replaced, as are others of equal names; to keep them name another"
+
+
+def test_replaced_files_about_all_scans_are_said_once(here, run, opened):
+    for module in ("av", "rerun"):
+        pytest.importorskip(module, reason="an extra")
+    write_scan(here / "a.bin")
+    for name in ("a.mp4", "a.rrd", "one/view.html"):
+        (here / name).parent.mkdir(exist_ok=True)
+        (here / name).write_text("of another command")
+    assert run("translate", "a.bin", "--view", "--out", "one")[2] == [f"lidar2pano: one/view.html: {REPLACED} --out"]
+    for options, said in (
+        (("--video", "a.mp4", "--rerun", "b.rrd"), "a.mp4: {} --video"),
+        (("--rerun", "a.rrd", "--video", "b.mp4"), "a.rrd: {} --rerun"),
+    ):
+        out = options[0].strip("-")
+        assert run("translate", "a.bin", *options, "--out", out)[2] == [f"lidar2pano: {said.format(REPLACED)}"]
+    (here / "bad.bin").write_bytes(b"12345")
+    code, _, err = run("translate", "bad.bin", "--video", "a.mp4", "--out", "two")
+    assert code == 2 and len(err) == 1 and "replaced" not in err[0], "nothing is written"
+
+
+def test_a_replaced_page_is_said(here, run, opened):
+    small_panorama(0).save("saved", ("rgb",), stem="a")
+    assert run("view", "saved")[2] == []
+    assert run("view", "saved") == (0, "view.html\n", [f"lidar2pano: view.html: {REPLACED} --out"])
+    write_scan(here / "a.bin")
+    assert run("view", "a.bin")[2] == [f"lidar2pano: view.html: {REPLACED} --out"]
+
+
 def test_json_stays_one_line_per_scan(here, run, opened):
     write_scan(here / "a.bin")
     _, out, _ = run("translate", "a.bin", "--view", "--ply", "--json")

@@ -190,7 +190,7 @@ def translate_followed(paths: Sequence[Path], options: Options) -> int:
 
 def translate_readings(readings: Iterable[Reading], total: int, options: Options) -> bool:
     """Translate scans one after the other and print a record of each; return whether one failed."""
-    translator, reporter = Translator(options.pipeline), ErrorReporter(options.note, options.out)
+    translator, reporter = Translator(options.pipeline), ErrorReporter(options.note, options.out, options.common)
     with options.common.opened(options.weights) as common, bar(total, "translating") as advance:
 
         def sink(translation: Translation) -> list[Path]:
@@ -210,8 +210,9 @@ def translate_readings(readings: Iterable[Reading], total: int, options: Options
                 print(json.dumps(line) if options.as_json else summary(line), flush=True)
             advance()
         reporter.flush()
-        for path in [output.finish() for output in common]:
-            if path and not options.as_json:
+        for path in filter(None, [output.finish() for output in common]):
+            reporter.note_replaced([path])
+            if not options.as_json:
                 print(path, flush=True)
     return reporter.failed
 
@@ -280,13 +281,15 @@ def summary(record: Mapping[str, Any]) -> str:
 class ErrorReporter:
     """Reports on stderr: bad files one line each at once, bad scans of a recording one line together at its end.
 
-    note  is printed with the first success, "" for none: a mistake is one line alone.
-    out   folder of the outputs.
+    note    is printed with the first success, "" for none: a mistake is one line alone.
+    out     folder of the outputs;  common: files about all scans.
     """
 
-    def __init__(self, note: str, out: Path) -> None:
+    def __init__(self, note: str, out: Path, common: OutputFiles) -> None:
         self.failed, self._note = False, note
-        self._earlier_files = set(out.glob("*"))
+        self._earlier_files = dict.fromkeys(out.glob("*"), "--out")  # -> option
+        named = {common.video: "--video", common.rerun: "--rerun"}
+        self._earlier_files |= {file: option for file, option in named.items() if file and file.exists()}
         self._licence_noted = False
         self._warnings: set[tuple[Any, str]] = set()  # stream, text
         self._recording: Path | None = None
@@ -322,11 +325,12 @@ class ErrorReporter:
 
     def note_replaced(self, outputs: Iterable[Path]) -> None:
         """Say once if an output has replaced an earlier command's, be it of the same scan or of another."""
-        if replaced := sorted(self._earlier_files.intersection(outputs)):
+        if replaced := sorted(self._earlier_files.keys() & outputs):
+            option = self._earlier_files[replaced[0]]
             self._earlier_files.clear()
             print_note(
                 f"{replaced[0]}: was there and is replaced, as are others of equal names; to keep them name another"
-                " --out"
+                f" {option}"
             )
 
     def flush(self) -> None:

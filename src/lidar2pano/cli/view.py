@@ -77,10 +77,12 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
 
 
 def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
+    from lidar2pano.cli.batch import ErrorReporter, OutputFiles
     from lidar2pano.cli.console import bar
     from lidar2pano.viewer.page import PageWriter
     from lidar2pano.viewer.saved_frames import read_frame
 
+    reporter = ErrorReporter("", out.parent, OutputFiles())
     with closing(PageWriter(title)) as writer:
         with bar(len(panoramas), "reading") as advance:
             for file in panoramas:
@@ -88,5 +90,6 @@ def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
                 advance()
         with suppress(ValueError, OverflowError, OSError):  # a file's time may lie in any year
             writer.facts = (f"made {datetime.fromtimestamp(panoramas[0].stat().st_mtime, UTC):%Y-%m-%d}",)
-        print(writer.write(out))
+        reporter.note_replaced([writer.write(out)])
+    print(out)
     return 0
