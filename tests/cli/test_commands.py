@@ -191,9 +191,11 @@ def test_one_stem_in_two_folders_is_two_files(here, translate):
 @pytest.mark.parametrize(
     ("files", "names"),
     [
+        (["a/1.bin"], ["1"]),
         (["a/1.bin", "a/2.bin"], ["1", "2"]),
         (["a/1.bin", "b/1.bin", "b/2.bin"], ["a-1", "b-1", "2"]),
         (["x/a/velodyne/1.bin", "y/a/velodyne/1.bin"], ["x-a-1", "y-a-1"]),
+        (["/a/1.bin", "/a/1.pcd", "/a/2.bin"], ["a-1.bin", "a-1.pcd", "a-2.bin"]),
     ],
 )
 def test_names_of_outputs(here, files, names):
