@@ -34,7 +34,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.hardware import keep_buffers, pick_device
 from lidar2pano.models.families import BEST, best_family, paints_look, weight_files
-from lidar2pano.models.stream_painter import check_quality
+from lidar2pano.models.stream_painter import check_variant
 from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
@@ -97,7 +97,7 @@ def checked_options(
 
     further  fields of Options.
     """
-    check_quality(further.get("quality", "fast"))
+    check_variant(further.get("quality", "fast"), further.get("seed", 0))
     name = best_family() if weights == BEST else weights
     note = "" if name == weights else f"weights {name}: the best that is installed"
     files, picked = weight_files(name, look=look), pick_device(device)

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from lidar2pano.drives.viewpoints import Place
 
 KITTI_SIZE = "1242x375"
-MOST_SEED = (1 << 63) - 1  # models.world_noise.SEEDS, whose import takes torch
 MOST_PIXELS = 1 << 26  # of a camera's image
 OUT = Path("panoramas")
 BEST = "best"  # models.families.BEST, whose import takes torch
@@ -75,9 +74,7 @@ LookOption = Annotated[
     str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
 ]
 QualityOption = Annotated[str, typer.Option(metavar="fast|best", help="Steps of a latent painter: two, or four.")]
-SeedOption = Annotated[
-    int, typer.Option(min=0, max=MOST_SEED, metavar="S", help="Another plausible panorama by a latent painter.")
-]
+SeedOption = Annotated[int, typer.Option(metavar="S", help="Another plausible panorama by a latent painter.")]
 ElevationOption = Annotated[
     str,
     typer.Option(

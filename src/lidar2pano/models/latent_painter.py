@@ -25,8 +25,8 @@ from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder, encode_columns
 from lidar2pano.models.blocks import CircularConv, check_size
-from lidar2pano.models.stream_painter import QUALITIES
-from lidar2pano.models.world_noise import SEEDS, Particles, world_noise
+from lidar2pano.models.stream_painter import QUALITIES, check_variant
+from lidar2pano.models.world_noise import Particles, world_noise
 from lidar2pano.scene.depth import FAR_M, depth_code
 from lidar2pano.scene.record import Scene
 from lidar2pano.scene.surfaces import normals, slopes
@@ -345,10 +345,9 @@ class LatentPainter(nn.Module):
     def variant(self, quality: str, seed: int) -> Self:
         """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture.
 
-        Raises InputError for a seed that is not of SEEDS.
+        Raises InputError as `check_variant`.
         """
-        if seed not in SEEDS:
-            raise InputError(f"seed {seed}: is not between 0 and {SEEDS[-1]}; name another")
+        check_variant(quality, seed)
         painter = copy.copy(self)
         painter.steps, painter.seed = QUALITIES[quality] or self.steps, seed
         return painter

@@ -10,6 +10,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.scene.record import Scene
 
 QUALITIES = {"fast": 0, "best": 4}  # steps of a latent painter's picture; 0: as many as its settings say
+SEEDS = range(1 << 63)  # of a latent painter's pictures
 
 
 class StreamPainter(Protocol):
@@ -25,7 +26,9 @@ class StreamPainter(Protocol):
         ...
 
 
-def check_quality(quality: str) -> None:
-    """Raise InputError unless a quality is known."""
+def check_variant(quality: str, seed: int) -> None:
+    """Raise InputError unless a quality is known, and a seed one of SEEDS."""
     if quality not in QUALITIES:
         raise InputError(f"no quality {quality!r}{closest(quality, QUALITIES)}")
+    if seed not in SEEDS:
+        raise InputError(f"seed {seed}: is not between 0 and {SEEDS[-1]}; name another")

@@ -23,7 +23,6 @@ from lidar2pano.views import PANORAMA, View
 FACTORS = (0x1F0A2BE71D163FA1, 0x3C6EF372FE94F82B, 0x510E527FADE682D1)  # odd, of the hashed numbers
 MIXED = ((30, -0x40A7B892E31B1A47), (27, -0x6B2FB644ECCEEE15))  # splitmix64's shifts and factors (Steele et al. 2014)
 UNIFORM_BITS = 24
-SEEDS = range(1 << 63)
 
 
 class Particles(NamedTuple):

@@ -32,7 +32,7 @@ from lidar2pano.models.card import Card
 from lidar2pano.models.families import BEST, weight_files
 from lidar2pano.models.hub import Upload, hub_folder, push_family, write_family
 from lidar2pano.models.latent_painter import LatentPainter
-from lidar2pano.models.stream_painter import StreamPainter, check_quality
+from lidar2pano.models.stream_painter import StreamPainter, check_variant
 from lidar2pano.models.titan_pano import STRIDE, FrontAllAround, with_rows
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.assembly import load_parts
@@ -196,9 +196,9 @@ class Pipeline:
     def in_variant(self, quality: str = "fast", seed: int = 0) -> Pipeline:
         """Return the pipeline that paints in a quality of QUALITIES, and the plausible picture of a seed.
 
-        Raises InputError for an unknown quality, and where the painter has one quality and one picture only.
+        Raises InputError as `check_variant`, and where the painter has one quality and one picture only.
         """
-        check_quality(quality)
+        check_variant(quality, seed)
         if isinstance(self.painter, LatentPainter):
             return replace(self, painter=self.painter.variant(quality, seed))
         if quality != "fast" or seed:
