@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 
@@ -162,9 +163,16 @@ def test_the_own_vehicle_is_not_scored(place):
 def test_the_command_writes_scores_and_views(place, random_weights, tmp_path, capsys):
     command = ["evaluate", str(random_weights), "--data", str(place), "--split", "all", "--device", "cpu"]
     command += ["--leave-out", "front_camera", "--out", str(tmp_path / "views"), "--json", str(tmp_path / "a.json")]
-    assert main(command) == 0
-    table = capsys.readouterr().out
+    assert main([*command, "--csv", str(tmp_path / "a.csv")]) == 0
+    table, said = capsys.readouterr()
     assert "| class colour error | " in table and "[" not in table, "one view has no interval"
+    assert said == "lidar2pano: these weights are licensed CC-BY-NC-SA-4.0: not for commercial use\n"
+    with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        values = {(row["system"], row["metric"]): float(row["value"]) for row in csv.DictReader(file)}
+    summary = json.loads((tmp_path / "a.json").read_text())["systems"]
+    for system in SYSTEMS:
+        assert values[system, "SSIM"] == summary[system]["SSIM"]["SSIM"]["value"]
+        assert len([key for key in values if key[0] == system]) == sum(map(len, summary[system].values()))
     assert [path.name for path in (tmp_path / "views").iterdir()] == ["002-000000-front_camera.png"]
     assert set(json.loads((tmp_path / "a.json").read_text())["systems"]) == set(SYSTEMS)
     assert main([*command, "--leave-out", "none"]) == 2
@@ -180,10 +188,10 @@ def test_no_view_is_written_without_a_folder(place, random_weights, tmp_path, mo
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("--csv", "a.csv"), ("--worst", "1"), ("--pairs", "a"), ("--metrics", "points"), ("--sensor", "pandar64")],
+    [("--worst", "1"), ("--pairs", "a"), ("--metrics", "points"), ("--sensor", "pandar64")],
 )
 def test_an_option_without_a_use_beside_leave_out_is_refused(place, random_weights, option, value, tmp_path, capsys):
-    value = str(tmp_path / value) if option in ("--csv", "--pairs") else value
+    value = str(tmp_path / value) if option == "--pairs" else value
     command = ["evaluate", str(random_weights), "--data", str(place), "--split", "all", "--device", "cpu"]
     command += ["--leave-out", "front_camera", "--out", str(tmp_path / "views"), option, value]
     assert main(command) == 2

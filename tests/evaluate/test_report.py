@@ -55,6 +55,16 @@ def test_everything_that_is_written(data, random_weights, front_weights, tmp_pat
     check_worst(worst, ours)
 
 
+def test_scores_are_kept_where_no_page_of_pairs_can_be(data, random_weights, front_weights, tmp_path, capsys):
+    as_json, as_csv, pairs = tmp_path / "all.json", tmp_path / "all.csv", tmp_path / "pairs"
+    written = ("--json", as_json, "--csv", as_csv, "--pairs", pairs)
+    assert run(data, random_weights, front_weights, "--metrics", "points", *written) == 2
+    captured = capsys.readouterr()
+    assert "--pairs: no frame has a photograph and both systems' pictures" in captured.err
+    assert "points: mIoU" in captured.out
+    check_records(as_csv, json.loads(as_json.read_text()))
+
+
 def check_records(path: Path, written: dict) -> None:
     """CSV has the values of JSON."""
     with path.open(encoding="utf-8", newline="") as file:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import print_note
-from lidar2pano.cli.options import ElevationOption, EngineOption
+from lidar2pano.cli.console import bar, print_note
+from lidar2pano.cli.options import ElevationOption, EngineOption, check_file, check_folder, write_json
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
     from lidar2pano.evaluate.folds import Fold
     from lidar2pano.evaluate.metric_collection import PatchFeatures
-    from lidar2pano.evaluate.panorama_system import SystemInfo
     from lidar2pano.evaluate.pictures import Preferences
     from lidar2pano.pipeline import Pipeline
 
@@ -112,7 +111,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     elif data is None:
         raise InputError("nothing to score: say --data ROOT, or --folds NAME=ROOT:SPLIT for each of some places")
     elif leave_out:
-        unused = {"--metrics": metrics, "--csv": as_csv, "--worst": worst, "--pairs": pairs}
+        unused = {"--metrics": metrics, "--worst": worst, "--pairs": pairs}
         refuse_beside("--leave-out", unused | {"--sdnet": sdnet, "--inception": inception, "--sensor": sensor})
         pipeline = load_reaching(weights, device, engine, elevation)
         scores = leave_out_cameras(pipeline, Fold(split, data, split), leave_out, out, config.patches)
@@ -122,23 +121,25 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
 
 
 class Scores(NamedTuple):
-    """The summary for JSON, the rows for CSV, the table in Markdown, and the systems with licences."""
+    """The summary for JSON, the rows for CSV, the table in Markdown, notes of licences, and what writes pictures."""
 
     summary: dict[str, Any]
     rows: list[dict[str, object]]
     table: str
-    scored: list[SystemInfo]
+    licences: list[str | None]
+    pictures: Sequence[Callable[[], None]] = ()
 
     def report(self, as_json: Path | None, as_csv: Path | None) -> None:
-        """Write the requested files, and print licences and the table."""
-        from lidar2pano.cli.options import write_json
-
+        """Write the requested files, print licences and the table; pictures are last, so that no score is lost."""
         if as_json:
             write_json(as_json, self.summary, "--json")
         if as_csv:
             write_csv(as_csv, self.rows, "--csv")
-        note_licences(self.scored)
+        for note in filter(None, dict.fromkeys(self.licences)):
+            print_note(note)
         print(self.table)
+        for write in self.pictures:
+            write()
 
 
 def score_split(
@@ -150,19 +151,23 @@ def score_split(
     out: Path | None,
     pairs: Path | None,
 ) -> Scores:
-    """Score one split; write the sheets of the worst frames, and the page of pairs."""
+    """Score one split; pictures are the sheets of the worst frames, and the page of pairs."""
     from lidar2pano.evaluate import report
     from lidar2pano.evaluate.pictures import Preferences
+    from lidar2pano.models.card import read_card
+    from lidar2pano.models.families import licence_note
 
     systems = [build(name) for name in names]
     preferences = Preferences(pairs, [system.info.name for system in systems]) if pairs else None
     evaluation = score_place(systems, place, config, worst, preferences)
     summary = report.as_dict(evaluation)
+    pictures: list[Callable[[], None]] = []
     if out:
-        write_worst(evaluation, out)
+        pictures.append(partial(write_worst, evaluation, out))
     if preferences:
-        print_note(f"choose between the panoramas: {preferences.write()}")
-    return Scores(summary, report.records(summary), report.table(summary), [system.info for system in systems])
+        pictures.append(lambda: print_note(f"choose between the panoramas: {preferences.write()}"))
+    licences = [licence_note(map(read_card, system.info.files.values())) for system in systems]
+    return Scores(summary, report.records(summary), report.table(summary), licences, pictures)
 
 
 def score_folds(
@@ -180,14 +185,13 @@ def score_folds(
             folded[name][fold.name] = scores_of(result)
     comparison = compared(folded)
     rows = [{"fold": fold.name, **row} for fold, part in zip(folds, parts, strict=True) for row in part.rows]
-    return Scores(comparison, rows, table(comparison), [info for part in parts for info in part.scored])
+    return Scores(comparison, rows, table(comparison), [note for part in parts for note in part.licences])
 
 
 def score_place(
     systems: Sequence[System], place: Fold, config: MetricConfig, worst: int, preferences: Preferences | None
 ) -> Evaluation:
     """Score systems on all frames of a split, with a bar."""
-    from lidar2pano.cli.console import bar
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import score
 
@@ -216,14 +220,14 @@ def leave_out_cameras(
     pipeline: Pipeline, place: Fold, leave_out: str, out: Path | None, patches: Mapping[str, PatchFeatures]
 ) -> Scores:
     """Score the views of hidden cameras, and write a sheet of each into `out`."""
-    from lidar2pano.cli.console import bar
     from lidar2pano.data.layouts import frames
-    from lidar2pano.evaluate.hidden_cameras import score_hidden, table
+    from lidar2pano.evaluate.hidden_cameras import records, score_hidden, table
+    from lidar2pano.models.families import licence_note
 
     scored = frames(place.root, place.split)
     with bar(len(scored), f"hiding {leave_out}") as advance:
         summary = score_hidden(pipeline, scored, leave_out, patches, sheets=out, after_each=advance).as_dict()
-    return Scores(summary, [], table(summary), [])
+    return Scores(summary, records(summary), table(summary), [licence_note(pipeline.cards.values())])
 
 
 def refuse_beside(option: str, values: Mapping[str, object]) -> None:
@@ -234,8 +238,6 @@ def refuse_beside(option: str, values: Mapping[str, object]) -> None:
 
 def check_outputs(as_json: Path | None, as_csv: Path | None, *folders: Path | None) -> None:
     """Check the places of the requested files; InputError for one without write access."""
-    from lidar2pano.cli.options import check_file, check_folder
-
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
         if path:
             check_file(path, option)
@@ -272,13 +274,3 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_text(path, text.getvalue(), option)
-
-
-def note_licences(scored: Iterable[SystemInfo]) -> None:
-    """Print a line on stderr for each restrictive licence of these systems' weights."""
-    from lidar2pano.models.card import read_card
-    from lidar2pano.models.families import licence_note
-
-    for note in dict.fromkeys(licence_note(map(read_card, info.files.values())) for info in scored):
-        if note:
-            print_note(note)

@@ -113,6 +113,20 @@ def _plain(part: Interval) -> dict[str, float | None]:
     return {name: float(value) if np.isfinite(value) else None for name, value in part._asdict().items()}
 
 
+def records(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return one row per system and value of `as_dict`."""
+    return [
+        {"system": system, "metric": _label(title, name), **part}
+        for system, metrics in summary["systems"].items()
+        for title, values in metrics.items()
+        for name, part in values.items()
+    ]
+
+
+def _label(title: str, name: str) -> str:
+    return name if title in ("SSIM", COLOURS) else f"{title}: {name}"
+
+
 def table(summary: Mapping[str, Any]) -> str:
     """Return the scores as Markdown: each metric by system, with 95 % intervals, and the ratio of the two."""
     first, second = (summary["systems"][system] for system in SYSTEMS)
@@ -123,9 +137,8 @@ def table(summary: Mapping[str, Any]) -> str:
             second_value = second[title].get(name)
             if second_value is None or name == "real to real":
                 continue
-            label = name if title in ("SSIM", COLOURS) else f"{title}: {name}"
             ratio = f"{second_value['value'] / value['value']:.2f}" if value["value"] else ""
-            rows.append([label, _shown(value), _shown(second_value), ratio])
+            rows.append([_label(title, name), _shown(value), _shown(second_value), ratio])
     heading = f"{len(summary['views'])} hidden views; the others see {share:.0%} of them."
     return f"{heading}\n\n{markdown_table(['metric', *SYSTEMS, 'ratio'], rows)}"
 
