@@ -68,6 +68,13 @@ def test_too_few_patches_have_no_distance(metric):
     assert math.isnan(PatchFrechetDistance(metric.extract).compute())
 
 
+@pytest.mark.parametrize("size", [(100, 300), (300, 100), (20, 20)])
+def test_an_image_smaller_than_a_patch_has_none(metric, size):
+    before, image = metric.values(), np.full((*size, 3), 200, np.uint8)
+    metric.update(image, image // 2, "0/9", np.ones(size, dtype=bool))
+    assert metric.values() == before and len(metric) == 5
+
+
 def test_patches_are_means_of_features():
     maps = torch.randn(3, 24, 40)
     found = patch_features(maps)

@@ -130,11 +130,13 @@ class PatchFrechetDistance(SetMetric):
 
 
 def patch_features(features: Tensor, valid: np.ndarray | None = None, down: int = DOWN) -> np.ndarray:
-    """Return features (P, D) float64 of the patches of an image.
+    """Return features (P, D) float64 of the patches of an image, none of one smaller than a patch.
 
     features  (D, H / down, W / down) of the whole image.
     valid     (H, W) bool: patches with any other pixel are left out.
     """
+    if min(features.shape[1:]) < PATCH // down:
+        return np.zeros((0, len(features)))
     patches = avg_pool2d(features.float(), PATCH // down, STRIDE // down).flatten(1).T
     if valid is not None:
         rows, columns = (down * size for size in features.shape[1:])
