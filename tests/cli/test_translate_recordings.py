@@ -293,6 +293,18 @@ def test_follow_waits_for_what_may_still_grow(tmp_path, monkeypatch):
     assert sorted(found[2:]) == [("a.bin", 4001), ("growing.bin", 4000), ("writing.bin", 4000)]
 
 
+def test_follow_calls_scans_of_all_sequences_differently(tmp_path):
+    whole, stopped, stems = write_bin_bytes(tmp_path / "whole.bin", scan(0)), threading.Event(), []
+    for sequence in ("00", "01", "02"):
+        (tmp_path / "in" / "sequences" / sequence / "velodyne").mkdir(parents=True)
+        aged(tmp_path / "in" / "sequences" / sequence / "velodyne" / "000000.bin", whole, 50)
+    for one in follow_folder(tmp_path / "in", ReadOptions(), stopped):
+        stems.append(one.stem)
+        if len(stems) == 3:
+            stopped.set()
+    assert stems == ["000000", *(f"sequences-{number}-velodyne-000000.bin" for number in ("01", "02"))]
+
+
 @pytest.fixture
 def early():
     """Signals that come before or after a command's own handler is there: they do not end the tests."""
