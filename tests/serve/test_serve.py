@@ -656,3 +656,9 @@ def test_the_command(random_weights, scan):
 def test_a_port_that_is_taken(server, capsys):
     assert main(["serve", "--port", str(server.port)]) == 2
     assert f"127.0.0.1 port {server.port}: cannot be listened on" in capsys.readouterr().err
+
+
+def test_a_body_without_bound_is_a_mistake(capsys, monkeypatch):
+    monkeypatch.setattr("lidar2pano.cli.batch.checked_options", mock.Mock())
+    assert main(["serve", "--port", "0", "--max-megabytes", "inf"]) == 2
+    assert "Invalid value for '--max-megabytes'" in capsys.readouterr().err

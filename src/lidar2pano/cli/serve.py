@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import socket
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -32,7 +33,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
     most_megabytes: Annotated[
-        float, typer.Option("--max-megabytes", min=0.001, metavar="N", help="Of one request's body.")
+        float, typer.Option("--max-megabytes", min=0.001, max=1e6, metavar="N", help="Of one request's body.")
     ] = 64,
     most_points: Annotated[int, typer.Option("--max-points", min=1, metavar="N", help="Of one scan.")] = 2_000_000,
     queue: Annotated[
@@ -41,8 +42,6 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     seconds: Annotated[float, typer.Option(min=0.1, metavar="N", help="From a request to its answer.")] = 120,
 ) -> None:
     """Turn scans into panoramas over HTTP: POST /panorama; a page to drop scans on at /."""
-    from pathlib import Path
-
     import uvicorn
 
     from lidar2pano.cli.batch import checked_options
