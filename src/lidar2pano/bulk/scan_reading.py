@@ -112,11 +112,9 @@ class ScanReading:
 
     def request(self, entry: Entry) -> Request:
         """Return the request for an entry's scan. Those of recordings are read at once, one after the other."""
-        if entry.key.scan is None:
-            return Request(entry, self._source, self._options)
-        return Request(
-            entry, self._source, self._options, self._thread.submit(self._recorded, entry.key.input, entry.key.scan)
-        )
+        name, number = entry.key
+        recorded = None if number is None else self._thread.submit(self._recorded, name, number)
+        return Request(entry, self._source, self._options, recorded)
 
     def close(self) -> None:
         """Close the open recording."""

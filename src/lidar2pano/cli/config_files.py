@@ -98,7 +98,7 @@ def _texts(value: Any, title: str) -> Iterator[str]:  # noqa: ANN401
     for item in value if isinstance(value, list) else [value]:
         if not isinstance(item, Scalar) or item == "":
             raise InputError(f"{title}: holds {'nothing' if item in (None, '') else 'no plain value'}; write one value")
-        yield _text(item)
+        yield str(item).lower() if isinstance(item, bool) else str(item)
 
 
 def _assignments(values: Mapping[Any, Any], title: str, path: str = "") -> Iterator[str]:
@@ -109,7 +109,3 @@ def _assignments(values: Mapping[Any, Any], title: str, path: str = "") -> Itera
             yield from _assignments(value, title, name)
         else:
             yield f"{name}={','.join(_texts(value, f'{title}.{name}'))}"
-
-
-def _text(item: Scalar) -> str:
-    return str(item).lower() if isinstance(item, bool) else str(item)

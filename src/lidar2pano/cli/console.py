@@ -5,23 +5,22 @@ from __future__ import annotations
 import logging
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
+
+from lidar2pano.errors import InputError
+from lidar2pano.progress import Advance, shown_by
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
     from lidar2pano.models.card import Card
-
-import tempfile
-from pathlib import Path
-
-from lidar2pano.errors import InputError
-from lidar2pano.progress import Advance, shown_by
 
 LOG = logging.getLogger("lidar2pano")
 LINES_S, LINE_EVERY_S = (2.0, 10.0), 30.0  # of long work, without a terminal

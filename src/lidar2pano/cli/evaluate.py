@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -264,9 +266,6 @@ def write_worst(evaluation: Evaluation, out: Path) -> None:
 
 def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     """Write rows with the same keys as CSV, beside and then renamed; InputError where that fails."""
-    import csv
-    import io
-
     from lidar2pano.formats.image_files import write_text
 
     text = io.StringIO()

@@ -38,8 +38,8 @@ ScansArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="SCAN",
-        help="Scans of any format, folders, data sets, recordings; - for standard input. Outputs of files with equal names"
-        " carry those of folders, too.",
+        help="Scans of any format, folders, data sets, recordings; - for standard input. Where names of files are"
+        " equal, outputs carry those of folders, too.",
     ),
 ]
 FormatOption = Annotated[str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")]

@@ -9,6 +9,8 @@ import typer
 
 from lidar2pano.cli.app import BROKEN, MISTAKE, app
 from lidar2pano.cli.console import print_error, show_log
+from lidar2pano.cli.options import check_folder, write_json
+from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
     from lidar2pano.reproduce import Plan
@@ -42,8 +44,6 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     ] = False,
 ) -> None:
     """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to resume."""
-    from lidar2pano.cli.options import check_folder
-    from lidar2pano.errors import InputError
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.reproduce import Plan
     from lidar2pano.reproduce.paper_tables import chosen
@@ -91,7 +91,6 @@ def print_plan(plan: Plan) -> None:
 def run_plan(plan: Plan) -> None:
     """Run the plan and write its results; typer.Exit if a part or a row failed."""
     from lidar2pano.cli.evaluate import write_csv
-    from lidar2pano.cli.options import write_json
     from lidar2pano.reproduce import reproduce as run
     from lidar2pano.reproduce.results_page import records, write_results_page
 

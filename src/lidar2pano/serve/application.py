@@ -81,27 +81,23 @@ class Measurements:
     """Counters of one server, with a registry of their own, as /metrics gives them: Prometheus' text format."""
 
     def __init__(self) -> None:
-        self._registry = CollectorRegistry()
+        self.registry = CollectorRegistry()
         self.requests = Counter(
-            "lidar2pano_requests", "Requests for panoramas by HTTP status.", ["status"], registry=self._registry
+            "lidar2pano_requests", "Requests for panoramas by HTTP status.", ["status"], registry=self.registry
         )
         self.waiting = Gauge(
-            "lidar2pano_waiting", "Requests that are taken and not answered yet.", registry=self._registry
+            "lidar2pano_waiting", "Requests that are taken and not answered yet.", registry=self.registry
         )
-        self.points = Counter("lidar2pano_points", "Points of translated scans.", registry=self._registry)
+        self.points = Counter("lidar2pano_points", "Points of translated scans.", registry=self.registry)
         self.stages = Histogram(
-            "lidar2pano_stage_seconds", "Time of each stage of a panorama.", ["stage"], registry=self._registry
+            "lidar2pano_stage_seconds", "Time of each stage of a panorama.", ["stage"], registry=self.registry
         )
         self.seconds = Histogram(
             "lidar2pano_request_seconds",
             "Time from a request to its answer.",
             buckets=(0.1, 0.25, 0.5, 1, 2.5, 5, 10, 25, 60, 120),
-            registry=self._registry,
+            registry=self.registry,
         )
-
-    def text(self) -> bytes:
-        """Return all counters as Prometheus reads them."""
-        return generate_latest(self._registry)
 
 
 class Service:
@@ -237,9 +233,8 @@ class Service:
 
     async def metrics(self, request: Request) -> Response:
         """GET /metrics."""
-        return Response(
-            self.measurements.text(), media_type="text/plain; version=0.0.4; charset=utf-8", headers=HEADERS
-        )
+        text = generate_latest(self.measurements.registry)
+        return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8", headers=HEADERS)
 
 
 def _doubts(result: Result) -> dict[str, str]:

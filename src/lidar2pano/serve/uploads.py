@@ -46,7 +46,6 @@ FILES = {
 ANSWERS = ("png", "zip", "json")
 PARAMETERS = ("as", "save", "name", "forward", "remission", "sensor-height", "strict")
 TRUTHS = dict.fromkeys(("", "1", "true", "yes"), True) | dict.fromkeys(("0", "false", "no"), False)
-FORM = "multipart/form-data"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,7 +240,7 @@ def file_of_form(body: bytes, content_type: str) -> tuple[bytes, str]:
     header = Message()
     header["content-type"] = content_type
     boundary = header.get_param("boundary")
-    if header.get_content_type() != FORM or not isinstance(boundary, str):
+    if header.get_content_type() != "multipart/form-data" or not isinstance(boundary, str):
         return body, ""
     parts = (b"\r\n" + body).split(b"\r\n--" + boundary.encode("latin-1", "replace"))[1:-1]
     if len(parts) != 1:

@@ -188,10 +188,6 @@ def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
     return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth"))
 
 
-FrameRange = tuple[Path, WorldSettings, int, int, int]
-"""The arguments of `write_frames`."""
-
-
 def generate(out: Path, settings: WorldSettings, sequences: int, processes: int) -> Iterator[int]:
     """Write `sequences` sequences into `out`; yields numbers of frames as they are completed.
 
@@ -214,7 +210,7 @@ def generate(out: Path, settings: WorldSettings, sequences: int, processes: int)
     yield from starmap(write_frames, ranges) if processes == 1 else _in_parallel(ranges, processes)
 
 
-def _in_parallel(ranges: list[FrameRange], processes: int) -> Iterator[int]:
+def _in_parallel(ranges: list[tuple[Path, WorldSettings, int, int, int]], processes: int) -> Iterator[int]:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, so each takes one
     size = -(-len(ranges) // processes)  # of runs of equal length: neighbours share a static scene
     queues = [ranges[first : first + size] for first in range(0, len(ranges), size)]
