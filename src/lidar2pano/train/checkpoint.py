@@ -3,7 +3,7 @@
 RUN/recipe.json                       every value of the recipe; "files": SHA-256 of the weight files named in it
 RUN/weights/<network>.safetensors     the best released weights; <network>.last.safetensors: the last
 RUN/checkpoints/<step>/               one folder, the newest
-    weights.safetensors               "network/<name>/<key>" and "average/<name>/<key>"
+    weights.safetensors               "network/<name>/<key>", "average/<name>/<key>"; of the task's own "memory/<key>"
     optimizers.pt                     name -> state (loads without executing anything)
     state.json                        Progress
 """

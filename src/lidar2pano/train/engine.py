@@ -151,6 +151,7 @@ class Run:
         self.rates: dict[str, float] = {}
         self.monitor: Monitor | None = None  # the first process has one
         self.networks: dict[str, nn.Module] = dict(task.networks)  # as the task made them
+        self.memory: nn.Module | None = getattr(task, "memory", None)
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
         for name, network in self.networks.items():
             if has_channels_last(recipe.training, fabric.device):
@@ -185,6 +186,8 @@ class Run:
                 self.fabric.strategy.precision.load_state_dict(optimizers[SCALER])
             for name, average in self.averages.items():
                 average.load(_below(weights, f"average/{name}/"))
+            if self.memory:  # checkpoints of earlier versions lack it
+                self.memory.load_state_dict(_below(weights, "memory/") or self.memory.state_dict())
         except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             reason = f"{type(error).__name__}: {error}".partition("\n")[0]
             raise InputError(
@@ -328,6 +331,8 @@ class Run:
             weights |= {f"network/{name}/{key}": value for key, value in network.state_dict().items()}
         for name, average in self.averages.items():
             weights |= {f"average/{name}/{key}": value for key, value in average.state.items()}
+        if self.memory:
+            weights |= {f"memory/{key}": value for key, value in self.memory.state_dict().items()}
         states = {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
         if scaler := self.fabric.strategy.precision.state_dict():
             states[SCALER] = scaler

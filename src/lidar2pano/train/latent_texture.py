@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, mse_loss
 
 from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.labels import COMMON15
 from lidar2pano.losses import Patches, PatchStatistics, pooled
 from lidar2pano.losses.adversarial import DiffAugment
 from lidar2pano.models.autoencoder import FACTOR
@@ -27,7 +28,7 @@ from lidar2pano.train.latent_frames import LatentSample, PicturedFrames
 from lidar2pano.train.latent_painting import LatentPainting, LatentPaintingOptions, latent_painter, masked_error
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, on_two_cores
 
-MATCHED = 3  # depths of features whose distributions are matched
+MATCHED = (24, 40, 112)  # channels of the depths of features whose distributions are matched
 PHOTOGRAPH = 0  # number of the look of photographs
 
 
@@ -73,7 +74,7 @@ class LatentTexture(LatentPainting):
         super().__init__(recipe, root)
         self.painter.decoder.requires_grad_()
         self.features = ImagenetFeatures.load(LITE0)
-        self.distributions = PatchStatistics()
+        self.memory = PatchStatistics(MATCHED, len(self.painter.looks) * len(COMMON15))
 
     def updates(self, batch: LatentSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the painter."""
@@ -103,11 +104,11 @@ class LatentTexture(LatentPainting):
         critic = self.networks["critic"]
         yield "critic", texture.critic_loss(critic)
         groups = self._groups(conditions, batch.look)
-        real_patches = Patches([part.float() for part in texture.of_real[:MATCHED]], shown[paired], groups[paired])
-        patches = Patches([part.float() for part in texture.of_made[:MATCHED]], whole, groups)
+        real_patches = Patches([part.float() for part in texture.of_real], shown[paired], groups[paired])
+        patches = Patches([part.float() for part in texture.of_made], whole, groups)
         terms |= {
             "perceptual": options.perceptual * texture.perceptual_loss(),
-            "statistics": options.statistics * self.distributions(real_patches, patches),
+            "statistics": options.statistics * self.memory(real_patches, patches),
             "adversarial": options.adversarial * texture.adversarial_loss(critic),
         }
         self.logs |= {name: term.detach() for name, term in terms.items()}

@@ -40,6 +40,8 @@ class Task(Protocol):
     dataset   training samples, map-style: `dataset[SampleIndex(index, seed)]` is a NamedTuple that default collation
               can stack, augmented by a generator of that seed.
     logs      other numbers worth a curve, as of the last step (float or tensor with one element).
+
+    What else the next step depends on is a module in an attribute `memory`: its state is kept in checkpoints.
     """
 
     networks: dict[str, nn.Module]
