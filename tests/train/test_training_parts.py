@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import random
 import shutil
@@ -21,7 +22,7 @@ from lidar2pano.models.card import Card, save
 from lidar2pano.train.averages import EMA, averaged
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
-from lidar2pano.train.engine import learning_rate, make_optimizer
+from lidar2pano.train.engine import Meter, learning_rate, make_optimizer
 from lidar2pano.train.environment import Timer, choose_precision
 from lidar2pano.train.latent_painting import LatentPaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
@@ -91,6 +92,15 @@ def test_optimisers_are_what_the_recipe_says():
     assert type(made) is torch.optim.Adam and len(group["params"]) == 1
     assert (group["lr"], group["betas"], group["weight_decay"]) == (0.5, (0.1, 0.2), 0.3)
     assert type(make_optimizer(replace(settings, algorithm="adamw"), network)) is torch.optim.AdamW
+
+
+def test_means_of_losses_take_no_more_memory_with_every_step():
+    """In all but the first of several processes nobody reads them."""
+    meter, before = Meter(), sum(torch.is_tensor(part) for part in gc.get_objects())
+    for step in range(100):
+        meter.add({"loss": torch.tensor(float(step)), "rate": step})
+    assert sum(torch.is_tensor(part) for part in gc.get_objects()) <= before + 1
+    assert meter.read() == {"loss": 49.5, "rate": 49.5} and not meter.read()
 
 
 def test_average_follows_its_formula_and_copies_statistics():

@@ -391,20 +391,21 @@ class Run:
 
 
 class Meter:
-    """Means of losses since the last reading; they stay on the device, and no step waits for them."""
+    """Means of losses since the last reading; their sums stay on the device, and no step waits for them."""
 
     def __init__(self) -> None:
-        self.values: dict[str, list[Tensor | float]] = {}
+        self.sums: dict[str, tuple[Tensor | float, int]] = {}  # and their numbers
 
     def add(self, values: Mapping[str, Tensor | float]) -> None:
         """Count one step's values."""
         for name, value in values.items():
-            self.values.setdefault(name, []).append(value.detach() if isinstance(value, Tensor) else value)
+            total, count = self.sums.get(name, (0.0, 0))
+            self.sums[name] = total + (value.detach() if isinstance(value, Tensor) else value), count + 1
 
     def read(self) -> dict[str, float]:
         """Means by name; the count starts again. A NaN among the values is a NaN here."""
-        means = {name: float(sum(values)) / len(values) for name, values in self.values.items()}
-        self.values = {}
+        means = {name: float(total) / count for name, (total, count) in self.sums.items()}
+        self.sums = {}
         return means
 
 
