@@ -13,9 +13,13 @@ import torch
 from lidar2pano.data.cache import PredictedLabels
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.layouts import frames
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.projection import Normalisation
+from lidar2pano.models import build
+from lidar2pano.models.card import Card, save
 from lidar2pano.progress import shown_by
 from lidar2pano.scan import Scan
-from lidar2pano.train.task import LabelPoints, predict_all
+from lidar2pano.train.task import LabelPoints, load_segmenter, predict_all
 from miniature import write_data_set
 
 
@@ -78,6 +82,16 @@ def test_processes_share_the_scans_and_say_how_far_they_are(task):
         predict_all(task, torch.device("cpu"), rank=0, world=2)
     assert sorted(task.label_points.scans) == [*task.dataset.frames.names, *task.validation.frames.names]
     assert said[:3] == [(2, "labelling 2 scans on cpu, once: the labels are kept on disk"), "one", "one"]
+
+
+def test_a_segmenter_without_a_view_is_named(tmp_path):
+    settings = {"widths": (4, 4, 4, 4)}
+    card = Card(
+        network="salsanext", settings=settings, labels="semantic-kitti", normalisation=Normalisation().as_dict()
+    )
+    save(file := tmp_path / "segmenter.safetensors", build("salsanext", **settings), card)
+    with pytest.raises(InputError, match=rf"{file}: its card has no view 'input' that makes sense"):
+        load_segmenter(str(file))
 
 
 def test_without_a_segmenter_nothing_happens():

@@ -23,6 +23,7 @@ from lidar2pano.models import build
 from lidar2pano.models.card import load, read_card
 from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.pipeline import Segmenter
+from lidar2pano.pipeline import load_segmenter as load_fast_segmenter
 from lidar2pano.progress import working
 from lidar2pano.scan import Scan
 from lidar2pano.train.recipe import Network, Recipe
@@ -162,7 +163,7 @@ def range_view_card(view: View, tallest: View | None = None, normalise: Normalis
 
 def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
     """Read a LiDAR segmenter's weight file: scan -> labels (N,) of SEMANTIC_KITTI."""
-    return LabelPoints(Segmenter.from_card(*load(file, expect="salsanext")))
+    return LabelPoints(load_fast_segmenter(Path(file), torch.device("cpu"))[0])
 
 
 class LabelPoints:
