@@ -273,6 +273,19 @@ def test_critics_score_the_image_and_what_is_painted_again(root):
     assert role == "painter" and loss.item() == pytest.approx(slow, rel=1e-4)
 
 
+def test_micro_batches_in_turns_have_losses_of_their_own(root):
+    task = made(root, "options.no_previous_probability=0")
+    one, other = a_batch(task), default_collate([task.dataset[SampleIndex(0, 7)]])
+    for _ in task.updates(other):
+        pass
+    expected = task.logs
+    for pair in zip(task.updates(one), task.updates(other), strict=True):
+        assert pair[0][0] == pair[1][0]
+    assert {name: value.item() for name, value in task.logs.items()} == pytest.approx(
+        {name: value.item() for name, value in expected.items()}, rel=1e-4
+    )
+
+
 def test_videos_are_three_images_and_the_flows_between_them(root):
     task = made(root)
     batch = a_batch(task)

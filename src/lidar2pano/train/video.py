@@ -5,7 +5,7 @@ The painter learns from classes and its own previous images, against discriminat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -162,22 +162,21 @@ class VideoPainting:
         blank = torch.rand(len(labels), device=labels.device) < self.options.no_previous_probability
         previous = batch.image[:, :PREVIOUS].masked_fill(blank[:, None, None, None, None], 0)
         painted: list[Tensor] = []
-        sums: dict[str, list[Any]] = {}
+        sums: dict[str, list[Tensor]] = {}
         for now in range(PREVIOUS, self.options.clip_length):
             frame = self.frame(batch, labels, previous, now, blank & (now == PREVIOUS))
             painted.append(frame.fake)
             inputs = {step: self.temporal(batch, painted, step) for step in self.steps if len(painted) > 2 * step}
-            yield from self.frame_updates(frame, inputs)
-            for name, value in self.logs.items():
-                sums.setdefault(name, []).append(value)
+            for name, loss in (yield from self.frame_updates(frame, inputs)).items():
+                sums.setdefault(name, []).append(loss.detach())
             painted[-1] = frame.fake.detach()
             previous = torch.cat([previous[:, 1:], painted[-1][:, None]], 1)
         self.logs = {name: torch.stack(values).mean() for name, values in sums.items()}
 
     def frame_updates(
         self, frame: PaintedFrame, inputs: Mapping[int, tuple[Tensor, Tensor]]
-    ) -> Iterator[tuple[str, Tensor]]:
-        """The image discriminator, the temporal ones, the painter.
+    ) -> Generator[tuple[str, Tensor], None, dict[str, Tensor]]:
+        """The image discriminator, the temporal ones, the painter; returns the painter's losses by name.
 
         inputs  real and painted images of each temporal one (`temporal`), by the frames between them.
         """
@@ -198,8 +197,8 @@ class VideoPainting:
             features.append(matched_features(on_real, on_fake))
         losses["adversarial"] = _sum(adversarial)
         losses["feature_matching"] = self.options.feature_matching * _sum(features)
-        self.logs = {name: loss.detach() for name, loss in losses.items()}
         yield "painter", _sum(list(losses.values()))
+        return losses
 
     def reconstruction(self, frame: PaintedFrame) -> dict[str, Tensor]:
         """The painter's losses without a discriminator, by name, weighted; those of weight 0 are left out.
