@@ -1,8 +1,7 @@
-"""Losses: Lovasz-Softmax and the adversarial ones.
+"""Losses: supervised, adversarial, and of painted pictures.
 
-Every function takes tensors and returns a scalar tensor in float32 (or the dtype of the scores given), a mean over
-the batch, without any weight.
-Cross entropy is torch's own: `torch.nn.functional.cross_entropy`.
+Each takes tensors and returns a scalar tensor in float32 (or the dtype of the scores given), a mean over the batch,
+without any weight.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class Vid2Vid(Closable, nn.Module):
     foreground        label channels for a branch of their own (26 is Cityscapes' car); empty: no such branch.
     frames            label maps it sees, the present one last; it sees one image less.
     batch_statistics  norms use the batch's statistics in evaluation mode, too, as needed by published weights.
-    align_corners     how the previous image is warped (see geometry.warp): True is the code's original way.
+    align_corners     how the previous image is warped (see geometry.rasters.warp): True is the code's original way.
     """
 
     def __init__(

@@ -377,7 +377,7 @@ def pix2pix_segments() -> Recipe[Pix2PixSegmentsOptions]:
 
     Cross-entropy discriminator and 100 times the absolute distance, Adam 2e-4, one pair a step (Isola et al. 2017,
     section 3.3); statistics of the batch at hand in evaluation too, as its test command runs. These are the numbers of
-    the -mini form; at full length the baselines have TITAN-Net's protocol (`titan.papers_protocol`).
+    the -mini form; at full length the baselines have TITAN-Net's protocol (`papers_protocol`).
     """
     adam = Optimizer(algorithm="adam", rate=2e-4, betas=(0.5, 0.999), schedule="constant")
     settings = {"inputs": 25, "outputs": 15, "width": 64, "batch_statistics": True, "size": (376, 1241)}

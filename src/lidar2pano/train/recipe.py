@@ -155,7 +155,7 @@ class Training:
     validate_minutes: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse values out of range (InputError); `device.shared` compares batch and accumulate."""
+        """Refuse values out of range (InputError); `environment.shared` compares batch and accumulate."""
         check_range("training", 1, MOST_STEPS, steps=self.steps)
         check_range("training", 1, LARGEST_SIZE, batch=self.batch, accumulate=self.accumulate)
         check_range("training", 0, MOST_WORKERS, workers=self.workers)
