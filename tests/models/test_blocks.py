@@ -28,17 +28,6 @@ def test_closing_has_the_gradients_of_its_definition(reach):
     assert torch.autograd.gradgradcheck(lambda part: pad_azimuth(part, reach).square(), x)
 
 
-@pytest.mark.parametrize("before", [1, 2])
-def test_closing_again_brings_the_columns_beyond_those(before):
-    x = torch.randn(2, 3, 4, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(0), requires_grad=True)
-    weight = torch.arange(12 + 2 * before, dtype=torch.float64) ** 2
-    wanted, found = pad_azimuth(x, before + 2), pad_azimuth(pad_azimuth(x, before), 2, before)
-    assert torch.equal(found, wanted)
-    with torch.no_grad():
-        assert torch.equal(pad_azimuth(pad_azimuth(x, before), 2, before), wanted)
-    torch.testing.assert_close(*(torch.autograd.grad((part * weight).sum(), x)[0] for part in (found, wanted)))
-
-
 @pytest.mark.parametrize("stride", [1, 2])
 def test_convolution_of_closed_images_needs_no_copy(stride):
     block = conv_norm_act(5, 3, stride=stride).eval()

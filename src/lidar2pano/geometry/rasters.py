@@ -75,41 +75,30 @@ def nearest_row(mask: Tensor) -> Tensor:
     return torch.where(upwards, upper, lower).clamp(max=rows - 1)
 
 
-def pad_azimuth(x: Tensor, reach: int, margin: int = 0) -> Tensor:
-    """Add `reach` columns of the other end to each side of (B, C, H, W): (B, C, H, W + 2 reach).
-
-    margin  such columns that the image has at each side already.
-    """
+def pad_azimuth(x: Tensor, reach: int) -> Tensor:
+    """Add `reach` columns of the other end to each side of (B, C, H, W): (B, C, H, W + 2 reach)."""
     if not reach:
         return x
     if x.requires_grad and torch.is_grad_enabled() and not torch.compiler.is_compiling():
-        return _PadAzimuth.apply(x, reach, margin)  # pyright: ignore[reportReturnType]
-    left, right = _ends(x, reach, margin)
-    return torch.cat([left, x, right], dim=3)
-
-
-def _ends(x: Tensor, reach: int, margin: int) -> tuple[Tensor, Tensor]:
-    """Return the columns that `pad_azimuth` puts to the left and to the right of an image."""
-    first = x.shape[3] - reach - 2 * margin
-    return x[..., first : first + reach], x[..., 2 * margin : 2 * margin + reach]
+        return _PadAzimuth.apply(x, reach)  # pyright: ignore[reportReturnType]
+    return torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3)
 
 
 class _PadAzimuth(torch.autograd.Function):
     """`pad_azimuth` for training: the gradient of each slice would be a whole image, a fifth of a painter's step."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, reach: int, margin: int) -> Tensor:  # noqa: ANN401
-        ctx.columns = reach, margin
-        return pad_azimuth(x, reach, margin)  # no gradients are recorded in here
+    def forward(ctx: Any, x: Tensor, reach: int) -> Tensor:  # noqa: ANN401
+        ctx.reach = reach
+        return pad_azimuth(x, reach)  # no gradients are recorded in here
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:  # noqa: ANN401
-        (grad,), (reach, margin) = grads, ctx.columns
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
+        (grad,), reach = grads, ctx.reach
         inner = grad[..., reach:-reach].clone()
-        left, right = _ends(inner, reach, margin)
-        left += grad[..., :reach]
-        right += grad[..., -reach:]
-        return inner, None, None
+        inner[..., -reach:] += grad[..., :reach]
+        inner[..., :reach] += grad[..., -reach:]
+        return inner, None
 
 
 def upsample_azimuth(x: Tensor, factor: int) -> Tensor:

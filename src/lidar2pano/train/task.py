@@ -42,7 +42,8 @@ class Task(Protocol):
               can stack, augmented by a generator of that seed.
     logs      other numbers worth a curve, as of the last step (float or tensor with one element).
 
-    What else the next step depends on is a module in an attribute `memory`: its state is kept in checkpoints.
+    What else the next step depends on is a module in an attribute `memory`, whose state is kept in checkpoints; of
+    several processes, that of the first.
     """
 
     networks: dict[str, nn.Module]
