@@ -658,6 +658,11 @@ def test_a_port_that_is_taken(server, capsys):
     assert f"127.0.0.1 port {server.port}: cannot be listened on" in capsys.readouterr().err
 
 
+def test_a_host_that_has_no_name_is_a_mistake(capsys):
+    assert main(["serve", "--host", "ä" * 80, "--port", "0"]) == 2
+    assert f"{'ä' * 80} port 0: cannot be listened on (it is no name)" in capsys.readouterr().err
+
+
 def test_a_body_without_bound_is_a_mistake(capsys, monkeypatch):
     monkeypatch.setattr("lidar2pano.cli.batch.checked_options", mock.Mock())
     assert main(["serve", "--port", "0", "--max-megabytes", "inf"]) == 2

@@ -77,7 +77,9 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
 def _socket(host: str, port: int) -> socket.socket:
     """Open the socket to listen on, before the model is loaded; InputError if it cannot be had."""
     try:
+        host.encode("idna")
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family, backlog=128)  # calls wait while the model is loaded
-    except OSError as error:
-        raise InputError(f"{host} port {port}: cannot be listened on ({error.strerror}); choose others") from error
+    except (OSError, UnicodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no name"
+        raise InputError(f"{host} port {port}: cannot be listened on ({reason}); choose others") from error
