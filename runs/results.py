@@ -99,6 +99,7 @@ TEXTS = {
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",
     "memory": "Numbers of the memory of streams (memory.py), each changed alone, on a simulated drive",
+    "depth": "Numbers of measured depths (depth.py), each changed alone: hidden points of real scans, and towns",
     "evidence": "Evidence beside the translator's classes",
     "times": "Times",
 }

@@ -11,12 +11,12 @@
 #   folds                                  classes on a street that a run has not seen
 #   unseen                                 classes of `world` on two such streets
 #   beams remission                        scores with fewer beams and without remission
-#   memory                                 what each number of the memory of streams is worth, on TOWNS-drive
+#   memory depth                           what each number of the memory of streams, and of depths, is worth
 #   times                                  milliseconds on this machine
 #   page        RESULTS.md and the scores of cards from these files; costs nothing
 set -euo pipefail
 kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
-pandaset=$(realpath "$pandaset")
+pandaset=$(realpath "$pandaset") MORE=${MORE:+$(realpath "$MORE")} FOLDS=${FOLDS:+$(realpath "$FOLDS")}
 shift 4
 out=$(cd "$(dirname "$0")/../docs/results" && pwd)
 scores() { # STEP EVALUATE-ARGUMENTS...
@@ -51,11 +51,15 @@ step() {
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" streets ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
     memory) text memory python "$(dirname "$0")/steady_ablation.py" "$towns-drive" streets ;;
+    depth)
+      text depth python "$(dirname "$0")/depth_ablation.py" streets "$MORE/k04:all" "$MORE/k09:all" "$pandaset:all" \
+        "$nuscenes:all" "$towns:all" "$towns-drive:all"
+      ;;
     times) idle && text times lidar2pano bench --weights streets --engine torch --runs 9 ;;
     page) python "$(dirname "$0")/results.py" && python "$(dirname "$0")/card_scores.py" ;;
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
 }
-for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds unseen beams remission memory times page}"; do
+for each in "${@:-make-towns val labelled towns tall pandaset nuscenes folds unseen beams remission memory depth times page}"; do
   for name in $each; do step "$name"; done
 done

@@ -26,6 +26,7 @@ from lidar2pano.scan import Scan
 from lidar2pano.scene.surfaces import CLEAR_OF_VEHICLE_M, cylinder_points, ground_plane, same_surface, slopes
 from lidar2pano.views import View
 
+# What each number of `measured_depth` is worth is in RESULTS.md (runs/depth_ablation.py).
 NEAREST_M, FARTHEST_M = 0.5, 1000.0  # horizontal distances; nearer points lie on the vehicle itself
 ON_GROUND = 1.2  # ratio of a point's distance to the ground's in its row, below which it is taken to lie on the ground
 TOPMOST_PX = 2  # columns on either side whose points say how far a surface above a column's own points is
