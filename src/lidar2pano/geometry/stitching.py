@@ -156,10 +156,17 @@ def points_in(camera: Camera, points: Tensor) -> Tensor:
     return torch.cat([T[:, :3] @ points + T[:, 3:], torch.ones(1, points.shape[1])])
 
 
-def look(camera: Camera, points: Tensor, focal_px: float, occlusion: Occlusion | None = stands_before) -> Sight:
+def look(
+    camera: Camera,
+    points: Tensor,
+    focal_px: float,
+    occlusion: Occlusion | None = stands_before,
+    occluders: Tensor | None = None,
+) -> Sight:
     """Return the visible ones of points (4, n), homogeneous, in a camera's axes.
 
-    focal_px   of the points' raster;  occlusion: None: nothing hides another.
+    focal_px   of the occluders' raster;  occluders: (4, m), the points themselves if None.
+    occlusion  None: nothing hides another.
     """
     calibration = camera.calibration
     surface, place, inverse = _project(camera, points)
@@ -169,7 +176,11 @@ def look(camera: Camera, points: Tensor, focal_px: float, occlusion: Occlusion |
         scale = min(1.0, COARSE * focal_px / camera_px)
         height, width = (math.ceil(side * scale) for side in calibration.size[::-1])
         cell = _cells(place * scale, width)
-        nearest = _inverse_depths(cell, inverse, (height, width)).flatten().index_select(0, cell)
+        inside = cell, inverse
+        if occluders is not None:
+            _, occluder_place, occluder_inverse = _project(camera, occluders)
+            inside = _cells(occluder_place * scale, width), occluder_inverse
+        nearest = _inverse_depths(*inside, (height, width)).flatten().index_select(0, cell)
         visible = ~occlusion(nearest, inverse)
     if camera.ego_mask is not None:
         own_vehicle = torch.from_numpy(camera.ego_mask).flatten()
