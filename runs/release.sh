@@ -6,12 +6,14 @@
 # the recipes.
 #   FORM=        the recipes' full size, for a GPU (default -mini: two CPU cores)
 #   MINUTES=1.5  each stage takes so many times as long (default 1)
-#   TOWNS=1000   how many towns are simulated (default 60)
+#   TOWNS=1000   how many towns are simulated (default 60, at least 15)
 #   PHOTOGRAPHS= splits with images that teach the painter of `streets`: "train,FOLDER:split,..." (default train)
 #   PLACES=      splits with scans of other places and sensors that teach segmenter and translator of `streets`; a scan
 #                without labels of its own needs a labelled image (default: none)
 #   CLEAN=       splits with scans and images that teach painter and segmenter of `world`, of licences that allow any use
 #                (default: none)
+# TOWNS=15 MINUTES=0.004 rehearses all of it (two hours beside other work on two cores) and ends with useless families: in a
+# clone, since those in the package are replaced.
 # For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there.
 # The weights of version 0.1.0 were not made by this script but stage by stage, by earlier scripts that are in the history
 # up to b3e012f: with networks pruned, averaged and finished between stages.
