@@ -99,7 +99,7 @@ def test_a_full_disk(here, run, name):
         )
         (disk / "filling").unlink(missing_ok=True)
         left = files(disk)
-    assert code in (MISTAKE, BROKEN)
+    assert code in (MISTAKE, BROKEN), said
     complaints = [line for line in said.splitlines() if "licensed" not in line]
     assert all(line.startswith("lidar2pano: ") and REFUSED.search(line) for line in complaints), said
     assert 1 <= len(complaints) <= 2, "one for each scan"

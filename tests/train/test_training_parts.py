@@ -7,6 +7,8 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import islice
 
@@ -365,3 +367,22 @@ def test_bfloat16_only_where_the_device_has_it(monkeypatch, device, has, precisi
     monkeypatch.setattr("lidar2pano.train.environment.has_bfloat16", lambda device: has)
     assert choose_precision(Training(precision="bf16-mixed"), torch.device(device)) == precision
     assert choose_precision(Training(precision="32-true"), torch.device(device)) == "32-true"
+
+
+def test_curves_are_written_without_tensorflow_though_it_is_installed(tmp_path):
+    """It would take seconds, say much on stderr, and raise errors of its own on a full disk."""
+    (tmp_path / "tensorflow.py").write_text("raise SystemExit('tensorflow is imported')\n")
+    program = (
+        "from pathlib import Path\n"
+        "from lidar2pano.train.monitor import Monitor\n"
+        f"Monitor(Path({str(tmp_path)!r}), 'a', 1, 0).close()"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert list((tmp_path / "tensorboard").glob("events.*"))

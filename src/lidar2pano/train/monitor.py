@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from datetime import timedelta
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from PIL import Image
@@ -27,6 +28,8 @@ class Monitor:
     """A bar on a terminal or lines in the log, TensorBoard curves in RUN/tensorboard, images in RUN/preview."""
 
     def __init__(self, run: Path, name: str, steps: int, step: int) -> None:
+        # TensorBoard's own sign to do without TensorFlow, which takes seconds to import and raises errors of its own
+        sys.modules.setdefault("tensorboard.compat.notf", ModuleType("notf"))
         from torch.utils.tensorboard import SummaryWriter
 
         self.run, self.name, self.steps = run, name, steps
