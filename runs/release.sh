@@ -12,8 +12,8 @@
 #                without labels of its own needs a labelled image (default: none)
 #   CLEAN=       splits with scans and images that teach painter and segmenter of `world`, of licences that allow any use
 #                (default: none)
-# TOWNS=15 MINUTES=0.004 rehearses all of it (two hours beside other work on two cores) and ends with useless families: in a
-# clone, since those in the package are replaced.
+# TOWNS=15 MINUTES=0.004 rehearses all of it (two hours beside other work on two cores) and ends with useless families:
+# in a clone, since those in the package are replaced.
 # For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there.
 # The weights of version 0.1.0 were not made by this script but stage by stage, by earlier scripts that are in the history
 # up to b3e012f: with networks pruned, averaged and finished between stages.

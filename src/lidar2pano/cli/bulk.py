@@ -106,10 +106,10 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     pictures = opt.collect_pictures(image_format, projection)
     _check_layout(layout, elevation, **pictures)
     source, only = _source(root)
-    here = "cpu" if address and device in ("auto", "cuda") else device  # on a cluster its machines have the GPUs
+    local_device = "cpu" if address and device in ("auto", "cuda") else device  # a cluster has its own GPUs
     options = checked_options(
         weights,
-        **opt.collect_choices(here, engine, look, quality, seed, elevation),
+        **opt.collect_choices(local_device, engine, look, quality, seed, elevation),
         out=Path(out),
         save=opt.parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         **pictures,

@@ -330,8 +330,8 @@ def follow_folder(folder: Path, selection: ReadOptions, stopped: threading.Event
         for file, version, age_s in _settled_files(folder, taken, first_look):
             if stopped.is_set():
                 return
-            stem, whole = stem_of(file), "-".join(file.relative_to(folder).parts)
-            stems = {file: stem if owner.setdefault(stem, file) == file else whole}
+            stem, path_name = stem_of(file), "-".join(file.relative_to(folder).parts)
+            stems = {file: stem if owner.setdefault(stem, file) == file else path_name}
             new = file not in taken
             arrived += new
             if new and (arrived - 1) % selection.every:

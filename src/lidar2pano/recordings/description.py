@@ -197,8 +197,8 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str) -> Topic:
     if not candidates:
         raise InputError(_no_points(path, topics))
     if len(candidates) > 1:
-        or_all = "" if candidates[0].type in SENSORS else ", or name all"
-        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic{or_all}")
+        alternative = "" if candidates[0].type in SENSORS else ", or name all"
+        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic{alternative}")
     (topic,) = candidates
     if topic.type in PACKETS or topic.type in COMPRESSED:
         raise InputError(_undecoded(path, topic))
