@@ -27,9 +27,8 @@ from lidar2pano.formats.image_files import (
 )
 from lidar2pano.formats.ply import write_ply
 from lidar2pano.geometry.camera import CUBE_AXES, PROJECTIONS, Lookup, equirectangular, lookups, panorama_in_camera
-from lidar2pano.geometry.exposure import metered_gain
 from lidar2pano.geometry.projection import project
-from lidar2pano.geometry.stitching import Camera, homogeneous, look, points_in, surfaces_in
+from lidar2pano.geometry.stitching import Camera, homogeneous, look, metered_gain, points_in, surfaces_in
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import echo_image

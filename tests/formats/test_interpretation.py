@@ -14,10 +14,11 @@ from lidar2pano.cli.inspect import described
 from lidar2pano.errors import InputError
 from lidar2pano.formats import sensor_placement
 from lidar2pano.formats.beams import Beams, find_beams, horizontal_centre, sharpest_origin
+from lidar2pano.formats.ground_plane import blind_radii, fit_ground
 from lidar2pano.formats.interpretation import STAND_IN, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
 from lidar2pano.formats.readers import interpreted, read
-from lidar2pano.formats.sensor_placement import LEVELLED, SENSOR_HEIGHT_M, blind_radii, fit_ground
+from lidar2pano.formats.sensor_placement import LEVELLED, SENSOR_HEIGHT_M
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, columns_between
 

@@ -11,10 +11,10 @@ import sample_files as made
 from lidar2pano.cli import main
 from lidar2pano.drives.drive_motion import T_scan_cloud
 from lidar2pano.formats import pcd
+from lidar2pano.formats.ground_plane import fit_ground, fit_tilted_ground
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted
-from lidar2pano.formats.sensor_placement import fit_ground, fit_tilted_ground
 from lidar2pano.scan import Scan
 
 XYZ, RING = made.street(beams=32, columns=720)

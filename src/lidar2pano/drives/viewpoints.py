@@ -18,12 +18,12 @@ from lidar2pano.drives.folders import drive_files
 from lidar2pano.drives.reading import Reading, ReadingOptions, ScanSource
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.ground_plane import best_ground
 from lidar2pano.formats.interpretation import SAMPLE, Interpretation, interpret, scale_remission
 from lidar2pano.formats.map_blocks import Block
 from lidar2pano.formats.plausibility import doubts_about_ground, find_gaps
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.formats.sensor_placement import best_ground
 from lidar2pano.geometry.surfels import Rays, first_hits, fit_surfels, thin_by_range
 from lidar2pano.progress import working
 from lidar2pano.recordings import reading_process

@@ -7,18 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.ground_plane import BELOW_M, LEVEL_DEG, SURE_SHARE, Ground, best_ground, fit_ground
 from lidar2pano.formats.sensor_placement import (
-    BELOW_M,
-    LEVEL_DEG,
     OTHER_AXES,
-    SURE_SHARE,
-    Ground,
     Placement,
-    best_ground,
     evidence_of_x,
     find_other_axes,
     find_unit,
-    fit_ground,
     is_offset,
 )
 from lidar2pano.formats.unnamed_columns import share_between
