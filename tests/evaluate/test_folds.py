@@ -121,6 +121,22 @@ def test_each_fold_is_scored_by_weights_that_have_not_seen_it(tmp_path, random_w
         assert {line["fold"] for line in csv.DictReader(file)} == {"hills", "harbour"}
 
 
+def test_no_more_folds_are_scored_once_they_have_nothing_in_common(tmp_path, random_weights, monkeypatch, capsys):
+    scored = []
+
+    def alone(_):
+        scored.append(len(scored))
+        return {f"camera {len(scored)}": 0.5}
+
+    monkeypatch.setattr("lidar2pano.evaluate.folds.scores_of", alone)
+    write_data_set(tmp_path, frames=1, size=(124, 38))
+    folds = [f"--folds={name}={tmp_path}:val" for name in "abc"]
+    command = ["evaluate", str(random_weights), *folds, "--metrics", "points", "--device", "cpu"]
+    assert main(command) == 2
+    assert "no value is defined on all of a, b;" in capsys.readouterr().err
+    assert scored == [0, 1]
+
+
 def test_networks_of_a_fold_are_gone_before_those_of_the_next_are_loaded(tmp_path, random_weights, monkeypatch):
     networks, alive = [], []
 

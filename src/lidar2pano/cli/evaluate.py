@@ -176,7 +176,7 @@ def score_folds(
     names: Sequence[str], folds: Sequence[Fold], build: Callable[[str], System], config: MetricConfig
 ) -> Scores:
     """Score every fold, and the means over folds."""
-    from lidar2pano.evaluate.folds import PLACEHOLDER, compared, scores_of, table
+    from lidar2pano.evaluate.folds import PLACEHOLDER, common_values, compared, scores_of, table
 
     folded: dict[str, dict[str, dict[str, float]]] = {name: {} for name in names}
     parts: list[Scores] = []
@@ -185,6 +185,7 @@ def score_folds(
         parts.append(score_split(weights, fold, build, config, 0, None, None))
         for name, result in zip(folded, parts[-1].summary["results"], strict=True):
             folded[name][fold.name] = scores_of(result)
+        common_values(folded)  # says now, not after the last fold, that there is none
     comparison = compared(folded)
     rows = [{"fold": fold.name, **row} for fold, part in zip(folds, parts, strict=True) for row in part.rows]
     return Scores(comparison, rows, table(comparison), [note for part in parts for note in part.licences])

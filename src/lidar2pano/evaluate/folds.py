@@ -72,18 +72,23 @@ def scores_of(result: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
+def common_values(folded: Folded) -> list[str]:
+    """Return the names of the values that all systems have on all folds so far; InputError without any."""
+    first, *others = (scores for by_fold in folded.values() for scores in by_fold.values())
+    common = [name for name in first if all(name in scores for scores in others)]
+    if not common:
+        folds = ", ".join(next(iter(folded.values())))
+        raise InputError(f"no value is defined on all of {folds}; choose other --metrics or folds")
+    return common
+
+
 def compared(folded: Folded) -> dict[str, Any]:
     """Return everything, ready for JSON: each system's values by fold, their mean, the difference to the first system.
 
-    Differences are paired: of the same folds. A value that some fold lacks is left out of all; InputError without any.
+    Differences are paired: of the same folds. Values are `common_values`.
     """
-    first = next(iter(folded.values()))
+    first, common = next(iter(folded.values())), common_values(folded)
     folds = list(first)
-    common = [
-        name for name in first[folds[0]] if all(name in scores[fold] for scores in folded.values() for fold in folds)
-    ]
-    if not common:
-        raise InputError(f"no value is defined on all of {', '.join(folds)}; choose other --metrics or folds")
     systems: list[dict[str, Any]] = []
     for system, scores in folded.items():
         rows: list[dict[str, Any]] = []
