@@ -211,6 +211,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda r: (r / POSES).write_text("1 0 0 0 0 1 0 0 0 0 1 0\n"),
         r"poses.txt: its lines must hold 13 finite numbers each; write a frame's number",
     ),
+    "no poses": (lambda r: (r / POSES).write_text(""), r"poses.txt: its lines must hold 13 finite numbers each"),
     "poses in words": (lambda r: (r / POSES).write_text("a b\n"), r"poses.txt: cannot be read as poses"),
     "poses that are none": (lambda r: (r / POSES).write_text("2" + " 0" * 12), r"poses.txt: line 1 holds no rotation"),
     "half a scan": (

@@ -6,6 +6,7 @@ import gzip
 import json
 import math
 import struct
+from collections.abc import Container
 from pathlib import Path
 
 import numpy as np
@@ -80,12 +81,12 @@ def pixel(profile: str, millimetres: int, reflectivity: int) -> bytes:
     return struct.pack("<HBB", millimetres >> 3 | 0x8000, reflectivity, 9) + second
 
 
-def packet(profile: str, turn: int, first: int) -> bytes:
+def packet(profile: str, turn: int, first: int, lost: Container[int]) -> bytes:
     legacy = profile == "LEGACY"
     blocks = []
     for column in range(first, first + 16):
         stamp_ns = 10**12 + turn * 10**8 + column * 10**6
-        valid = column != 20  # one is lost
+        valid = column not in lost
         pixels = b"".join(pixel(profile, range_mm(turn, column, beam), 10 * beam) for beam in range(BEAMS))
         if legacy:
             head = struct.pack("<QHHI", stamp_ns, column, turn, 0)
@@ -109,8 +110,17 @@ def ethernet(payload: bytes, number: int, most: int, source: int) -> list[bytes]
     return sent[::-1]
 
 
-def capture(path: Path, profile: str, turns: int = 3, most: int = 65000, sources=(5,), first: int = 0) -> Path:
-    payloads = [packet(profile, turn, column) for turn in range(turns) for column in range(0, COLUMNS, 16)][first:]
+def capture(
+    path: Path,
+    profile: str,
+    turns: int = 3,
+    most: int = 65000,
+    sources=(5,),
+    first: int = 0,
+    lost: Container[int] = (20,),
+) -> Path:
+    places = [(turn, column) for turn in range(turns) for column in range(0, COLUMNS, 16)][first:]
+    payloads = [packet(profile, turn, column, lost) for turn, column in places]
     sent = [
         frame
         for number, payload in enumerate(payloads)
@@ -169,6 +179,16 @@ def test_turns_that_are_cut_are_left_out(tmp_path):
     assert [round(cloud.stamp_s or 0, 3) for cloud in clouds(path)] == [1000.1, 1000.2]
     path = capture(tmp_path / "a.pcap", "LEGACY", turns=1, first=3)
     assert [len(cloud) for cloud in clouds(path)] == [16 * BEAMS]  # better than nothing
+
+
+@pytest.mark.parametrize(
+    ("options", "says"), [({}, "a.pcap: holds no scan; record it again"), ({"end_s": 9.0}, "--from and --to")]
+)
+def test_a_capture_whose_columns_are_all_lost(tmp_path, options, says):
+    path = capture(tmp_path / "a.pcap", "LEGACY", lost=range(COLUMNS))
+    (tmp_path / "a.json").write_text(json.dumps(metadata("LEGACY")))
+    with pytest.raises(InputError, match=says):
+        clouds(path, **options)
 
 
 def test_a_packed_capture_has_its_metadata_beside_it(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,8 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
     Raises InputError if the file is missing or damaged, or a line holds no pose.
     """
     try:
-        lines = np.loadtxt(read_lines(path, MOST_POSES_BYTES), ndmin=2)
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that there are none, as is said below
+            lines = np.loadtxt(read_lines(path, MOST_POSES_BYTES), ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
     poses = lines[:, -12:]

@@ -22,7 +22,7 @@ from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.readers import ENDINGS, READERS, TEXT_ENDINGS, ReadOptions
 from lidar2pano.name_order import sort_names
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
-from lidar2pano.recordings.recorded_scans import METADATA, none_within, recording_reader
+from lidar2pano.recordings.recorded_scans import METADATA, none_selected, recording_reader
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name, a time since the epoch -> its unit
@@ -82,7 +82,7 @@ def select_files(files: Sequence[Path], options: ReadOptions) -> list[Path]:
         start_s, end_s = options.start_s or 0.0, offsets_s[-1] + 1 if options.end_s is None else options.end_s
         files = [file for file, offset_s in zip(files, offsets_s, strict=True) if start_s <= offset_s < end_s]
         if not files:
-            raise none_within(folder, offsets_s[-1])
+            raise none_selected(folder, offsets_s[-1], options)
     return files[:: options.every]
 
 

@@ -12,7 +12,7 @@ from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings.description import RawMessage
 from lidar2pano.recordings.joined_topics import join_topics
-from lidar2pano.recordings.recorded_scans import Frame, none_within, open_recording, span_ns
+from lidar2pano.recordings.recorded_scans import Frame, none_selected, open_recording, span_ns
 from lidar2pano.recordings.transforms import recorded_motion
 
 NEAR = 3  # so many messages ahead are read rather than looked up
@@ -47,7 +47,7 @@ class Playback:
         if end_ns is not None:
             selected &= self._stamps_ns < end_ns
         if not selected.any():
-            raise none_within(self.path, self._recording.description.duration_s)
+            raise none_selected(self.path, self._recording.description.duration_s, options)
         return np.flatnonzero(selected)[:: options.every].tolist()
 
     def frame(self, number: int) -> Frame:

@@ -108,8 +108,10 @@ def span_ns(origin_ns: int, options: ReadOptions) -> tuple[int | None, int | Non
     return start_ns, end_ns
 
 
-def none_within(path: Path, duration_s: float) -> InputError:
-    """Return the error for --from and --to without any scan between them."""
+def none_selected(path: Path, duration_s: float, selection: ReadOptions) -> InputError:
+    """Return the error for a selection of scans in which there is none."""
+    if selection.start_s is None and selection.end_s is None:
+        return InputError(f"{path}: holds no scan; record it again")
     return InputError(f"{path}: has no scan between --from and --to; it lasts {duration_s:.1f} s")
 
 
@@ -194,7 +196,7 @@ def _all_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
                 if (number - start) % options.every == 0:
                     yield Frame.of(recording, number, message)
         if start is None:
-            raise none_within(path, recording.description.duration_s)
+            raise none_selected(path, recording.description.duration_s, options)
 
 
 def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN401
