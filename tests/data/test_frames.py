@@ -331,7 +331,6 @@ def spoil(path: Path) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.filterwarnings("ignore:loadtxt")
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_what_is_damaged_is_said_in_one_line(world, tmp_path, damage):
     harm, message = DAMAGES[damage]

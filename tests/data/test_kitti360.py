@@ -245,7 +245,6 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:loadtxt")
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_what_is_damaged_is_said_in_one_line(copied, damage):
     harm, message = DAMAGES[damage]
