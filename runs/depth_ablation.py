@@ -30,7 +30,7 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.hardware import Timer
 from lidar2pano.metrics.frame_metrics import DepthError
 from lidar2pano.pipeline import Pipeline, stages
-from lidar2pano.scan import Scan, bands
+from lidar2pano.scan import Scan, bands, subset
 from lidar2pano.scene import depth, surfaces
 
 BETWEEN, ABOVE, AROUND = "hidden between", "hidden above", "towns"
@@ -89,17 +89,13 @@ def hidden_case(pipeline: Pipeline, scan: Scan) -> Case:
     scan = scan.beyond()
     above = np.argsort(np.argsort(bands(scan, 0.01), kind="stable")) >= 0.75 * len(scan)
     between = (bands(scan, 1.0) % 2 == 1) & ~above
-    left = _chosen(scan, ~between & ~above)
+    left = subset(scan, ~between & ~above)
     empty = ~project(left, pipeline.view).valid
     true_m = {}
     for name, mask in ((BETWEEN, between), (ABOVE, above)):
-        image = project(_chosen(scan, mask), pipeline.view)
+        image = project(subset(scan, mask), pipeline.view)
         true_m[name] = image.channels[0] * (image.valid & empty)
     return Case(arguments_of(pipeline, left), true_m)
-
-
-def _chosen(scan: Scan, mask: np.ndarray) -> Scan:
-    return Scan(xyz=scan.xyz[mask], remission=scan.remission[mask], name=scan.name)
 
 
 def errors(cases: Sequence[Case], numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
 from lidar2pano.data.range_images import HDL64E_BEAM_DEG
 from lidar2pano.evaluate import MetricConfig, score, system
-from lidar2pano.scan import bands
+from lidar2pano.scan import bands, subset
 
 EVERY = (1, 2, 4)
 ROWS = {
@@ -33,7 +32,7 @@ def thinned(frame: Frame, every: int) -> Frame:
     kept = bands(scan, HDL64E_BEAM_DEG) % every == 0
     return Frame(
         frame.name,
-        scan=replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept]),
+        scan=subset(scan, kept),
         point_labels=None if labels is None else labels[kept],
         camera_labels=frame.camera_labels,
         calibration=frame.calibration,

@@ -64,19 +64,19 @@ class Scan:
 
 def drop_points(scan: Scan, generator: np.random.Generator, share: float) -> Scan:
     """Leave out a share of the points at random."""
-    return _subset(scan, generator.random(len(scan)) >= share)
+    return subset(scan, generator.random(len(scan)) >= share)
 
 
 def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, share: float) -> Scan:
     """Leave out bands of elevation of `steps_deg` degrees at random: a sensor of fewer beams."""
     band = bands(scan, steps_deg)
     kept = generator.random(int(band.max(initial=0)) + 1) >= share
-    return _subset(scan, kept[band])
+    return subset(scan, kept[band])
 
 
 def drop_above(scan: Scan, elevation_deg: float) -> Scan:
     """Leave out the points above an elevation, degrees: a sensor whose highest beam is lower."""
-    return _subset(scan, _elevations_deg(scan) <= elevation_deg)
+    return subset(scan, _elevations_deg(scan) <= elevation_deg)
 
 
 def bands(scan: Scan, steps_deg: float) -> np.ndarray:
@@ -120,8 +120,8 @@ def mix(scan: Scan, partner: Scan, generator: np.random.Generator, pasted: Seque
     PolarMix (Xiao et al. 2022), with its three copies, each turned by up to a full turn. Beams and times are left out.
     """
     middle = generator.uniform(-np.pi, np.pi)
-    parts = [_subset(scan, ~_ahead(scan, middle)), _subset(partner, _ahead(partner, middle))]
-    things = _subset(partner, np.isin(_labels(partner), pasted))
+    parts = [subset(scan, ~_ahead(scan, middle)), subset(partner, _ahead(partner, middle))]
+    things = subset(partner, np.isin(_labels(partner), pasted))
     parts += [turn(things, generator.uniform(-np.pi, np.pi)) for _ in range(3)]
     xyz, remission, label = (
         np.concatenate(values)
@@ -169,7 +169,7 @@ def _elevations_deg(scan: Scan) -> np.ndarray:
     return np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
 
 
-def _subset(scan: Scan, kept: np.ndarray) -> Scan:
+def subset(scan: Scan, kept: np.ndarray) -> Scan:
     """Return the points `kept` of a scan, (N,) bool, with all that is known of each."""
     parts = {part.name: getattr(scan, part.name) for part in fields(scan)}
     return replace(scan, **{name: part[kept] for name, part in parts.items() if isinstance(part, np.ndarray)})
