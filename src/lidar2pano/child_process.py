@@ -137,7 +137,8 @@ class ChildProcess:
         channel.settimeout(bound.seconds * WALL)
         try:
             send(channel, request)
-            return receive(channel, bound.bytes, AnswerUnpickler)
+            kind, value = receive(channel, bound.bytes, AnswerUnpickler)
+            return kind, value, receive(channel, BASE_BYTES, AnswerUnpickler)
         except TimeoutError:
             raise InputError(_excess(title, f"more than {bound.seconds * WALL:.0f} s")) from None
         except (EOFError, OSError):  # it has ended
@@ -247,9 +248,12 @@ def work(descriptor: int) -> None:
             bound, folder, function, arguments = receive(channel, sys.maxsize)
             try:
                 os.chdir(folder)
-                send(channel, (*_called(bound, function, arguments), _data_bytes() > begin + KEPT_BYTES))
+                send(channel, _called(bound, function, arguments))
+                grown = _data_bytes() > begin + KEPT_BYTES  # without the answer, which is gone
             except MemoryError:  # for the answer; nothing of it is sent yet
-                send(channel, ("memory", "", True))
+                send(channel, ("memory", ""))
+                grown = True
+            send(channel, grown)
 
 
 def _called(bound: Bound, function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[str, Any]:

@@ -633,6 +633,16 @@ def test_a_child_that_keeps_memory_is_replaced():
     assert found == [True, False, True, True]
 
 
+def test_a_child_with_a_large_answer_is_kept():
+    bound, child = Bound(bytes=1 << 30, seconds=5.0), ChildProcess()
+    try:
+        before = child.call(bound, "a", os.getpid)
+        assert len(child.call(bound, "a", np.zeros, 40 << 20)) == 40 << 20  # 320 MiB
+        assert child.call(bound, "a", os.getpid) == before
+    finally:
+        child.close()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells how much memory a process has")
 def test_a_child_that_keeps_objects_keeps_no_answers():
     bound, child = Bound(bytes=1 << 30, seconds=5.0), ChildProcess(keeps=True)
