@@ -10,8 +10,7 @@
 #   PHOTOGRAPHS= splits with images that teach the painter of `streets`: "train,FOLDER:split,..." (default train)
 #   PLACES=      splits with scans of other places and sensors that teach segmenter and translator of `streets`; a scan
 #                without labels of its own needs a labelled image (default: none)
-#   CLEAN=       splits with scans and images that teach painter and segmenter of `world`, of licences that allow any use
-#                (default: none)
+#   CLEAN=       splits with scans and images that teach `world`, of licences that allow any use (default: none)
 # TOWNS=15 MINUTES=0.004 rehearses all of it (two hours beside other work on two cores) and ends with useless families:
 # in a clone, since those in the package are replaced.
 # For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there.
@@ -101,13 +100,14 @@ further() { # RUN DATA SPLITS SEGMENTER SHARE: of its weights stays so much
 }
 
 # Family `world`: simulated data, and CLEAN. A segmenter is taught by one with twice the arithmetic.
+clean=${CLEAN:+,$CLEAN}
 stage world-wide release-segmenter "$out/towns/scans" 90 data.train="all,$scans" "${any_direction[@]}"
 stage world-narrow fast-segmenter "$out/towns/scans" 45 data.train="all,$scans" "${any_direction[@]}" \
   options.teacher="$(weights world-wide segmenter)"
-further world-segmenter "$out/towns/scans" "all,$scans${CLEAN:+,$CLEAN}" "$(weights world-narrow segmenter)" 0.25
-stage world-translator release-translator "$day" 75 data.train="all,$pictures" training.validate_minutes=0 \
+further world-segmenter "$out/towns/scans" "all,$scans$clean" "$(weights world-narrow segmenter)" 0.25
+stage world-translator release-translator "$day" 75 data.train="all,$pictures$clean" training.validate_minutes=0 \
   options.segmenter="$(weights world-segmenter segmenter)" options.remission_octaves=3
-taller world-tall release-translator "$day" "$pictures" "$(weights world-segmenter segmenter)" world-translator
+taller world-tall release-translator "$day" "$pictures$clean" "$(weights world-segmenter segmenter)" world-translator
 networks=("$(weights world-segmenter segmenter)" "$(weights world-tall translator)")
 latents world "$day" "${CLEAN:-all}" "${networks[@]}"
 painter world "$day" "${CLEAN:-all}" "${networks[@]}" world-latents
