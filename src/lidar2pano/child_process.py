@@ -249,10 +249,11 @@ def work(descriptor: int) -> None:
             try:
                 os.chdir(folder)
                 send(channel, _called(bound, function, arguments))
-                grown = _data_bytes() > begin + KEPT_BYTES  # without the answer, which is gone
             except MemoryError:  # for the answer; nothing of it is sent yet
                 send(channel, ("memory", ""))
                 grown = True
+            else:  # the answer is gone
+                grown = _data_bytes() > begin + KEPT_BYTES
             send(channel, grown)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +70,8 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
     Raises InputError if the file is missing or damaged, or a line holds no pose.
     """
     try:
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that there are none, as is said below
-            lines = np.loadtxt(read_lines(path, MOST_POSES_BYTES), ndmin=2)
+        rows = [line for line in read_lines(path, MOST_POSES_BYTES) if line.partition("#")[0].strip()]
+        lines = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 0))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
     poses = lines[:, -12:]
