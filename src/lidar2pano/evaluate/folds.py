@@ -74,8 +74,8 @@ def scores_of(result: Mapping[str, Any]) -> dict[str, float]:
 
 def common_values(folded: Folded) -> list[str]:
     """Return the names of the values that all systems have on all folds so far; InputError without any."""
-    first, *others = (scores for by_fold in folded.values() for scores in by_fold.values())
-    common = [name for name in first if all(name in scores for scores in others)]
+    scored = [scores for by_fold in folded.values() for scores in by_fold.values()]
+    common = [name for name in scored[0] if all(name in scores for scores in scored)]
     if not common:
         folds = ", ".join(next(iter(folded.values())))
         raise InputError(f"no value is defined on all of {folds}; choose other --metrics or folds")
