@@ -13,7 +13,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_pairs import FrontViewDataset
 from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames, frames_of
-from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
+from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, enlarged, mirrored
 from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented, labelled_scan
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import STAND_IN
@@ -262,10 +262,43 @@ def test_remission_of_other_sensors_is_drawn_for_half_of_the_samples(root):
     scan = street(5)
     made = [augmented(scan, np.random.default_rng(i), ScanAugmentation(**levels, sensors=3.0)) for i in range(60)]
     assert 0.3 < np.mean([not np.array_equal(one.remission, scan.remission) for one in made]) < 0.7
+
+
+def test_most_samples_of_translators_have_the_remission_of_other_sensors_and_some_none(root):
     varied = PanoramaDataset(root, ("train",), RASTER, columns=160, sensors=3.0)
     original = varied.window(0).scan.remission
-    same = [np.isin(varied[SampleIndex(0, seed)].range_image[4], (0, *original)).all() for seed in range(30)]
-    assert 0.3 < np.mean(same) < 0.7
+    made = [varied[SampleIndex(0, seed)].range_image[4] for seed in range(160)]
+    same = [np.isin(remission, (0, *original)).all() for remission in made]
+    none = [set(remission.unique().tolist()) == {0, 0.25} for remission in made]
+    assert 0.05 < np.mean(same) < 0.2 and 0.05 < np.mean(none) < 0.2
+    assert not np.logical_and(same, none).any()
+
+
+def test_half_of_the_samples_of_translators_are_enlarged_all_alike(root):
+    plain, varied = (PanoramaDataset(root, ("train",), RASTER, columns=160, sensors=s) for s in (0.0, 3.0))
+    least = plain[0].range_image[0, plain[0].range_image[0] > 0].min()
+    factors = []
+    for seed in range(100):
+        image = varied[SampleIndex(0, seed)].range_image
+        factors.append((image[0, image[0] > 0].min() / least).item())
+    moved = [abs(factor - 1) > 0.02 for factor in factors]
+    assert 0.3 < np.mean(moved) < 0.7
+    assert min(factors) < 0.8 and 1.25 < max(factors) < 1.5, "from a quarter nearer to a third farther"
+
+
+def test_an_enlarged_sample_is_that_of_an_enlarged_world(root):
+    samples = PanoramaDataset(root, ("train",), RASTER, columns=160, shift_px=8)
+    window, sample = samples.window(0), samples[0]
+    larger = enlarged(sample, 1.2)
+    view = window.view.window(8, 160)
+    seen = project(
+        replace(window.scan, xyz=window.scan.xyz * np.float32(1.2)),
+        replace(view, origin=tuple(1.2 * place for place in view.origin)),
+    ).channels
+    assert any(view.origin), "the camera stands beside the sensor"
+    assert torch.allclose(larger.range_image, seen, rtol=1e-4, atol=1e-4)
+    assert torch.allclose(larger.depth_m, sample.depth_m * 1.2) and larger.depth_m.max() > 0
+    assert torch.equal(larger.segments, sample.segments) and torch.equal(larger.camera_labels, sample.camera_labels)
 
 
 def test_the_share_of_scans_that_lose_their_remission():

@@ -13,6 +13,7 @@ from torch.utils.data import default_collate
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
+from lidar2pano.labels import COMMON15
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.families import weight_files
@@ -144,6 +145,22 @@ def test_the_loss_falls(root, name, further):
         optimizer.step()
         losses.append(loss.item())
     assert 0 < losses[-1] < 0.9 * losses[0]
+
+
+def test_losses_with_a_margin_are_those_of_a_network_that_raises_buildings(root):
+    plain, raised = (
+        build_task(small("titan-pano-mini", *margin), root) for margin in ([], ["options.building_margin=1.5"])
+    )
+    batch = default_collate([plain.dataset[SampleIndex(index, index)] for index in range(2)])
+    network, same = raised.networks["translator"].eval(), plain.networks["translator"].eval()
+    network.load_state_dict(same.state_dict())
+    with torch.no_grad():
+        network.classes.bias[COMMON15.id_of("building")] += 1.5
+    ((_, loss),), ((_, without),) = raised.updates(batch), plain.updates(batch)
+    assert loss.item() == pytest.approx(without.item(), rel=1e-5)
+    network.load_state_dict(same.state_dict())
+    ((_, loss),) = raised.updates(batch)
+    assert abs(loss.item() - without.item()) > 1e-2
 
 
 def test_titan_net_moves_critic_and_translator_in_turn(root):

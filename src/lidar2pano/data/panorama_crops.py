@@ -25,6 +25,7 @@ from lidar2pano.data.frames import (
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.range_images import COARSE_BAND_DEG
 from lidar2pano.errors import InputError
+from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings
@@ -32,6 +33,7 @@ from lidar2pano.views import View
 
 HIGHEST_DEG = (-4.0, 11.0)  # elevations of highest beams: an HDL-64E's lies at 2, an HDL-32E's at 10.7
 SHIFT_PX = 24  # how far left or right of the camera's middle a crop may begin
+LARGEST = 0.3  # logarithm of the most that a sample is enlarged by: sensors 1.3 to 2.3 m above the road for one at 1.73
 
 
 class PanoramaSample(NamedTuple):
@@ -75,7 +77,8 @@ class PanoramaDataset:
     columns   width of the crop, a multiple of 16; shift_px: how far left or right of the camera's middle it may begin.
     elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
               SHIFT_PX at most from the middle.
-    sensors   largest change of level, in octaves, of remission in half of the augmented samples (ScanAugmentation).
+    sensors   largest change of level, in octaves, of remission in three quarters of the augmented samples; an eighth
+              has STAND_IN's, and half of all are enlarged. 0: all stay as they are.
     """
 
     def __init__(
@@ -143,10 +146,18 @@ class PanoramaDataset:
             scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
             scan = drop_above(scan, generator.uniform(*HIGHEST_DEG))
-        if self.sensors and generator.random() < 0.5:
-            scan = change_sensor_remission(scan, generator, self.sensors)
+        scan = self._of_another_sensor(scan, generator)
         sample = self._sample(window, scan, frame.name, self._start(window, generator))
+        if self.sensors and generator.random() < 0.5:
+            sample = enlarged(sample, float(np.exp(generator.uniform(-LARGEST, LARGEST))))
         return mirrored(sample) if generator.random() < 0.5 else sample
+
+    def _of_another_sensor(self, scan: Scan, generator: np.random.Generator) -> Scan:
+        """Return the scan, or one with another sensor's remission, or with none."""
+        draw = generator.random() if self.sensors else 1.0
+        if draw < 0.75:
+            return change_sensor_remission(scan, generator, self.sensors)
+        return replace(scan, remission=np.full_like(scan.remission, STAND_IN)) if draw < 0.875 else scan
 
     def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
         """Return the first column of an augmented crop."""
@@ -282,6 +293,15 @@ def around_camera(view: View, calibration: Calibration, columns: int) -> View:
     _, column = pixels(x, y, z, view)
     start = min(max(round(float(column)) - columns // 2, 0), view.columns - columns)
     return view.window(start, columns)
+
+
+def enlarged(sample: PanoramaSample, times: float) -> PanoramaSample:
+    """Return the sample in a world so many times as large, which looks the same: as of a sensor that is mounted higher.
+
+    Coordinates and depths, metres, are multiplied; remission and classes stay.
+    """
+    factors = torch.tensor([times, times, times, times, 1.0])[:, None, None]
+    return sample._replace(range_image=sample.range_image * factors, depth_m=sample.depth_m * times)
 
 
 def mirrored(sample: PanoramaSample) -> PanoramaSample:

@@ -37,7 +37,10 @@ class PanoramaOptions(TaskOptions):
     teacher, distillation  weight file of a translator whose classes and depths are learned beside the ground truth
                            (knowledge distillation), "": none;  weight of that loss.
     elsewhere_probability  with a teacher, of a crop of a real frame from anywhere, also out of the camera's sector.
-    remission_octaves      of half of the samples: largest change of remission's level, as of another make of sensor.
+    remission_octaves      of most samples: largest change of remission's level, as of another make of sensor; with it
+                           half of the samples are enlarged (PanoramaDataset).
+    building_margin        by how much the losses lower the logits of buildings, so that the network raises them (logit
+                           adjustment, Menon et al. 2021): on streets that are new to it, too few are found.
     """
 
     task = "panorama"
@@ -51,6 +54,7 @@ class PanoramaOptions(TaskOptions):
     distillation: float = 2.0
     elsewhere_probability: float = 1.0
     remission_octaves: float = 0.0
+    building_margin: float = 0.0
 
 
 class PanoramaTranslation:
@@ -75,6 +79,8 @@ class PanoramaTranslation:
         self.weights = class_weights(
             self.dataset.class_counts()[: len(COMMON15)], options.class_weight_exponent, least=1e-4, most=4.0
         )
+        self.margins = torch.zeros(len(COMMON15), 1, 1)
+        self.margins[COMMON15.id_of("building")] = options.building_margin
         self.teacher = Teacher(options.teacher, "titan-pano") if options.teacher else None
         self.logs: dict[str, float | Tensor] = {}
         if options.segmenter:
@@ -86,7 +92,7 @@ class PanoramaTranslation:
         """One update of the translator."""
         inputs = with_rows(batch.range_image, self.view), one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
         logits, depth_m = self.networks["translator"](*inputs)
-        logits = logits.float()
+        logits = logits.float() - self.margins.to(logits.device)
         self.weights = self.weights.to(logits.device)  # once
         entropy = labelled_cross_entropy(logits, batch.camera_labels, IGNORE, self.weights)
         lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
