@@ -83,10 +83,10 @@ tall=$(printf "$out/towns/%s:all," tall-os1-128 tall-pandar64 tall-hdl64e tall-c
 scans=$out/towns/centre-scans:all,${sensors%,} pictures=${looks%,}
 
 # Taller rows come last, and half of the weights stay: the usual rows are read oftener.
-taller() { # RUN RECIPE DATA SPLITS SEGMENTER RUN-OF-THE-START
+taller() { # RUN RECIPE DATA SPLITS SEGMENTER RUN-OF-THE-START [OVERRIDE...]
   stage "$1" "$2" "$3" 9 view=panorama-tall data.train="$tall$tall$4" training.validate_minutes=0 \
     options.segmenter="$5" options.remission_octaves=3 networks.translator.optimizer.rate=5e-4 \
-    networks.translator.start="$(weights "$6" translator)" networks.translator.start_share=0.5
+    networks.translator.start="$(weights "$6" translator)" networks.translator.start_share=0.5 "${@:7}"
 }
 
 # Segmenters go on with scans of other places and sensors, above an HDL-64E's beams too, at any level of remission, mixed,
@@ -128,13 +128,13 @@ stage translator fast-translator "$kitti" 90 data.train="$real" training.validat
   options.teacher="$(weights wide-translator translator)" options.elsewhere_probability=0.35
 others=${PLACES:+,$PLACES}
 further further-segmenter "$kitti" "$often$scans$others" "$(weights segmenter segmenter)" 0.5
-# The translator keeps half of its weights, too.
+# The translator keeps half of its weights, too, and so half of the margin that finds more buildings on new streets.
 stage further-translator fast-translator "$kitti" 30 data.train="train,train,$real$others" training.validate_minutes=0 \
-  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=3 \
+  options.segmenter="$(weights further-segmenter segmenter)" options.remission_octaves=5 options.building_margin=1.0 \
   networks.translator.optimizer.rate=7e-4 \
   networks.translator.start="$(weights translator translator)" networks.translator.start_share=0.5
 taller streets-tall fast-translator "$kitti" "train,$pictures${PLACES:+,$PLACES}" \
-  "$(weights further-segmenter segmenter)" further-translator
+  "$(weights further-segmenter segmenter)" further-translator options.remission_octaves=5 options.building_margin=0.5
 streets=("$(weights further-segmenter segmenter)" "$(weights streets-tall translator)")
 latents streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}"
 painter streets "$kitti" "${PHOTOGRAPHS:-train}" "${streets[@]}" streets-latents

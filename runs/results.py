@@ -85,8 +85,8 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
 - **tall towns**: {tall} frames of simulated town centres as an OS1-128 sees them, from -32 to 24 degrees
   (`--elevation=-32,24`); no network was trained on them.
 - **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras. It teaches both families: `streets` is
-  therefore measured by a run of its last stages (but for the one of taller panoramas) that was not shown the place, and
-  `world` not at all.
+  therefore measured by networks that were not shown the place, a segmenter from before its last stage and a translator
+  of the last one (but for taller panoramas), and `world` not at all.
 - Depths are compared with ground truth on towns alone: elsewhere the target is the very scan that the system was given.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures; 1 is as far as real images
@@ -94,7 +94,7 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   Lite0) and, as edge features, those of VGG-16 fine-tuned on edges (HED), on images of full and of half size.
 """
 TEXTS = {
-    "folds": "A street of KITTI that networks have not seen: `before` the last stages, and after them without it",
+    "folds": "A street of KITTI that networks have not seen: `before` and after the last stage of the translator",
     "unseen": "Streets of KITTI, of which `world` has seen none",
     "beams": "Fewer beams: every, every second and every fourth beam of the scans of KITTI",
     "remission": "Without remission: mIoU of point classes with constants in its place",

@@ -3,8 +3,8 @@
 #   runs/results.sh KITTI TOWNS PANDASET NUSCENES [STEP...]
 # KITTI has the splits val and labelled; TOWNS is a simulated set that no network was trained on (see `towns` below);
 # PANDASET and NUSCENES have surround cameras.
-#   FOLDS=   families of the last stage that have not seen a place: FOLDS/without-pandaset and FOLDS/without-k09, and
-#            FOLDS/before, which neither had taught; MORE=: folder of the places k04 and k09
+#   FOLDS=   families that have not seen a place: FOLDS/without-pandaset and FOLDS/without-k09 with translators of the
+#            last stage, and FOLDS/before, which neither had taught; MORE=: folder of the places k04 and k09
 # Without a STEP all run in turn; each writes one file in docs/results:
 #   make-towns  simulate TOWNS, TOWNS-tall and TOWNS-drive, unless they are there
 #   val labelled towns tall pandaset nuscenes   scores, as CSV
