@@ -23,9 +23,8 @@ from lidar2pano.data.frames import (
     evenly_spaced,
 )
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.range_images import COARSE_BAND_DEG
+from lidar2pano.data.range_images import COARSE_BAND_DEG, without_remission
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.scan import Scan, change_sensor_remission, drop_above, drop_points, drop_rings
@@ -146,7 +145,8 @@ class PanoramaDataset:
             scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
             scan = drop_above(scan, generator.uniform(*HIGHEST_DEG))
-        scan = self._of_another_sensor(scan, generator)
+        if self.sensors:
+            scan = self._of_another_sensor(scan, generator)
         sample = self._sample(window, scan, frame.name, self._start(window, generator))
         if self.sensors and generator.random() < 0.5:
             sample = enlarged(sample, float(np.exp(generator.uniform(-LARGEST, LARGEST))))
@@ -154,10 +154,10 @@ class PanoramaDataset:
 
     def _of_another_sensor(self, scan: Scan, generator: np.random.Generator) -> Scan:
         """Return the scan, or one with another sensor's remission, or with none."""
-        draw = generator.random() if self.sensors else 1.0
+        draw = generator.random()
         if draw < 0.75:
             return change_sensor_remission(scan, generator, self.sensors)
-        return replace(scan, remission=np.full_like(scan.remission, STAND_IN)) if draw < 0.875 else scan
+        return without_remission(scan) if draw < 0.875 else scan
 
     def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
         """Return the first column of an augmented crop."""

@@ -186,7 +186,12 @@ def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugm
     if generator.random() < augmentation.chance:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
     if augmentation.no_remission and generator.random() < augmentation.no_remission:
-        return replace(scan, remission=np.full_like(scan.remission, STAND_IN))
+        return without_remission(scan)
     if augmentation.sensors and generator.random() < 0.5:
         return change_sensor_remission(scan, generator, augmentation.sensors)
     return vary_remission(scan, generator, augmentation.remission) if augmentation.remission else scan
+
+
+def without_remission(scan: Scan) -> Scan:
+    """Return the scan as of a sensor that measures no remission: all points have STAND_IN."""
+    return replace(scan, remission=np.full_like(scan.remission, STAND_IN))

@@ -92,8 +92,8 @@ class PanoramaTranslation:
         """One update of the translator."""
         inputs = with_rows(batch.range_image, self.view), one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
         logits, depth_m = self.networks["translator"](*inputs)
-        logits = logits.float() - self.margins.to(logits.device)
-        self.weights = self.weights.to(logits.device)  # once
+        self.weights, self.margins = self.weights.to(logits.device), self.margins.to(logits.device)  # once
+        logits = logits.float() - self.margins
         entropy = labelled_cross_entropy(logits, batch.camera_labels, IGNORE, self.weights)
         lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
         measured = batch.depth_m > 0
